@@ -60,7 +60,8 @@ if TYPE_CHECKING:
     from cassandra_ros.topics.catalog import Catalog
 
 PROGRAM = "viewer"
-_TOKEN_BYTES = 18
+TOKEN_BYTES = 18
+"""Number of random bytes of a token that is made."""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -161,7 +162,7 @@ def _token(options: argparse.Namespace) -> str:
     token = read_token(options.token_file) if options.token_file else options.token
     token = token or from_environment("TOKEN")
     if not token and (reached or _logs_in(options)):
-        token = secrets.token_urlsafe(_TOKEN_BYTES)
+        token = secrets.token_urlsafe(TOKEN_BYTES)
     return token
 
 

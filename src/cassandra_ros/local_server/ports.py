@@ -14,7 +14,8 @@ import psutil
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server.processes import command_line, describe_process
 
-_SERVER_PORTS = range(18_000, 32_768)
+SERVER_PORTS = range(18_000, 32_768)
+"""Ports that are chosen for servers: below those for outgoing connections."""
 _DYING_SEC = 10.0
 
 
@@ -42,7 +43,7 @@ def free_port(*hosts: str) -> int:
     hosts = hosts or ("127.0.0.1",)
     # The ports for outgoing connections are above this range. A client could take one of those
     # while a server that listened on it is restarted.
-    for port in random.sample(_SERVER_PORTS, len(_SERVER_PORTS)):
+    for port in random.sample(SERVER_PORTS, len(SERVER_PORTS)):
         if all(is_free(host, port) for host in hosts):
             return port
     raise ServerError(f"no port of {', '.join(hosts)} from 18000 to 32767 is free")

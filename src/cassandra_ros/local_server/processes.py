@@ -30,7 +30,7 @@ _CONFIG = "-Dcassandra.config="
 LOCK_SEC = 600.0
 """Maximum time to wait for another process that holds a lock, s."""
 _LOCK_POLL_SEC = 0.1
-_TELL_SEC = 10.0
+TELL_SEC = 10.0
 """Time between two lines that say what is being waited for, s."""
 _PID_CHARS = 64
 
@@ -232,7 +232,7 @@ class ProgressLines:
 
     def __call__(self, text: str, seconds: float) -> None:
         """Say a text if another 10 s of its wait have passed."""
-        step, self._step = self._step, int(seconds // _TELL_SEC)
+        step, self._step = self._step, int(seconds // TELL_SEC)
         if self._step > step:
             self._say(f"{text} … {seconds:.0f} s")
 

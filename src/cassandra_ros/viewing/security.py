@@ -39,7 +39,8 @@ POLICIES: dict[str, str] = {
 """Content security policies of pages that need another one, by path."""
 _ANSWERS = ("/api/", "/window")
 """Beginnings of paths that are answered by handlers instead of files."""
-_COOKIE_SEC = 30 * 86_400
+COOKIE_SEC = 30 * 86_400
+"""Time for which a browser keeps the cookie, s."""
 _READABLE = (
     "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag, X-Map, X-Missing"
 )
@@ -203,7 +204,7 @@ class Guard:
         there = f"./{request.rel_url.raw_name}{query}"
         response = web.Response(status=303, headers={"Location": there})
         response.set_cookie(
-            self._cookie, self._kept, max_age=_COOKIE_SEC, httponly=True, samesite="Strict"
+            self._cookie, self._kept, max_age=COOKIE_SEC, httponly=True, samesite="Strict"
         )
         return response
 
