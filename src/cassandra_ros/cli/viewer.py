@@ -119,7 +119,7 @@ def _add_token_options(add: Callable[..., object]) -> None:
     add("--token", metavar="TEXT", help=text)
     text = (
         "file with this secret in its first line, which only you may read, mode 600; /dev/fd/3 = "
-        "from descriptor 3"
+        "from descriptor 3 (default: no file)"
     )
     add("--token-file", metavar="FILE", help=text)
     text = "let all users of this machine read the store, though you log in to it"

@@ -142,14 +142,14 @@ class Services:
     def all(self) -> Sequence[tuple[str, type, Callable[..., object]]]:
         """Return of each service its name, its class and its handler."""
         return (
-            ("pause", Trigger, self.pause),
-            ("resume", Trigger, self.resume),
-            ("pause_playback", SetBool, self.pause_playback),
-            ("step", Step, self.step),
-            ("seek", Seek, self.seek),
-            ("setRate", SetRate, self.set_rate),
-            ("stop", Trigger, self.stop),
-            ("status", PlayerStatus, self.status),
+            ("~pause", Trigger, self.pause),
+            ("~resume", Trigger, self.resume),
+            ("~pause_playback", SetBool, self.pause_playback),
+            ("~step", Step, self.step),
+            ("~seek", Seek, self.seek),
+            ("~setRate", SetRate, self.set_rate),
+            ("~stop", Trigger, self.stop),
+            ("~status", PlayerStatus, self.status),
         )
 
     def pause(self, request: object) -> TriggerResponse:

@@ -156,7 +156,7 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
     marks = EventMarks(ros_cas.catalog.keyspace.events.put)
     services = Services(ros_cas, allow_writes, marks)
     handlers = (
-        (name, kind, partial(_answer, getattr(services, method), response_class))
+        (f"~{name}", kind, partial(_answer, getattr(services, method), response_class))
         for name, (kind, response_class, method) in SERVICES.items()
     )
     offer_services(handlers, say)

@@ -47,9 +47,9 @@ def services_of(recorder: Recorder) -> Iterator[tuple[str, type, Callable[..., o
     """Return the services of a recorder: of each its name, its class and its handler."""
     services = _Services(recorder)
     for name in TOPIC_SERVICES:
-        yield name, RecordTopics, services.of_topics(getattr(services, name))
+        yield f"~{name}", RecordTopics, services.of_topics(getattr(services, name))
     for name, kind in OTHER_SERVICES.items():
-        yield name, kind, getattr(services, name)
+        yield f"~{name}", kind, getattr(services, name)
 
 
 @dataclass(frozen=True)

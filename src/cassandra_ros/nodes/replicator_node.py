@@ -86,7 +86,7 @@ def follow(follower: Follower, say: Say, *, diagnostics: bool, no_services: bool
     try:
         with follower:
             handlers = _Handlers(follower)
-            services = ((name, kind, getattr(handlers, name)) for name, kind in SERVICES.items())
+            services = [(f"~{n}", kind, getattr(handlers, n)) for n, kind in SERVICES.items()]
             offer_services(services, say, none=no_services)
             _tick(follower, ending, _Diagnostics() if diagnostics else None, say)
         return follower.problem

@@ -155,7 +155,7 @@ def offer_services(
     """Advertise the services of a node that was started, and say where they are.
 
     Args:
-        services: Of each its name, its class and its handler.
+        services: Of each its name, as "~pause", its class and its handler.
         say: Prints a line for the user.
         none: Whether to advertise none, so that no other program controls the node.
     """
@@ -163,7 +163,7 @@ def offer_services(
         say(f"{rospy.get_name()} offers no services")
         return
     for name, kind, handler in services:
-        rospy.Service(f"~{name}", kind, handler)
+        rospy.Service(name, kind, handler)
     say(f"services under {rospy.get_name()}")
 
 
