@@ -54,12 +54,16 @@ def add(writer, count, topic="/n"):
 def age(cql, keyspace, seconds=STALE_SEC + 5):
     """Make what was told of all runs so old, by the server's own clock."""
     past = f"toTimestamp(now()) - {int(seconds)}s"
+    query = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = %s"
+    there = {name for (name,) in cql.execute(query, (keyspace,))}
     for table, column, key in (
         ("cr_run", "started", ("writer", "node")),
         ("cr_bucket", "heartbeat", ("tbl", "node", "slot", "bucket", "writer")),
         ("cr_active", "heartbeat", ("tbl", "slot", "bucket", "node", "writer")),
         ("cr_context", "heartbeat", ("writer", "node")),
     ):
+        if table not in there:
+            continue  # the run is not told of there
         where = " AND ".join(f"{name} = %s" for name in key)
         for row in cql.execute(f"SELECT {', '.join(key)} FROM {keyspace}.{table}").all():
             cql.execute(f"UPDATE {keyspace}.{table} SET {column} = {past} WHERE {where}", row)
