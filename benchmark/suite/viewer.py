@@ -8,6 +8,7 @@ import http.client
 import json
 import time
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import Any, Callable, Mapping
 from urllib.parse import urlencode
 
@@ -22,6 +23,7 @@ FIRST_NS = 20 * 10**9
 """Length of the recording that is read before it plays, ns."""
 PIXELS = 1200
 PLOT = "select linear_acceleration.x from /imu"
+SQL = "SELECT KEY, linear_acceleration.x FROM imu WHERE KEY >= '{}' AND KEY < '{}'"
 
 TARGETS: dict[str, float | None] = {
     "timeline of the day": 1.0,
@@ -35,6 +37,7 @@ TARGETS: dict[str, float | None] = {
     "plot of the day, complete": None,
     "plot of a minute, complete": 1.0,
     "a minute as an MCAP": None,
+    "a small SQL statement": None,
 }
 """What is measured -> seconds that it may take; None = as long as it takes."""
 
@@ -101,6 +104,11 @@ def plot_whole(client: Client, **window: int) -> None:
         pass
 
 
+def second(t: int) -> str:
+    """Return a time as SQL takes it, cut to seconds."""
+    return datetime.fromtimestamp(t // 10**9, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+
+
 def measure(results: Results, client: Client, rounds: int, say: Callable[[str], None]) -> None:
     """Measure everything that needs no browser; a first round does not count."""
     hour = [NOON_NS + n * HOUR_NS // 7 for n in range(-20, 20, 3)]
@@ -115,6 +123,9 @@ def measure(results: Results, client: Client, rounds: int, say: Callable[[str], 
         ),
         "a minute as an MCAP": lambda n: client.ask(
             "/window.mcap", {"start": hour[n], "end": hour[n] + 60 * 10**9}
+        ),
+        "a small SQL statement": lambda n: client.json(
+            "/api/query", q=SQL.format(second(hour[n]), second(hour[n] + 10**9)), language="sql"
         ),
     }
     for what, work in works.items():
