@@ -7,8 +7,8 @@ stored. The exit status is 1 if messages were lost, or if a topic that you named
 
 Each recording is a run; the option --run of other programs selects it. The services ~start, ~stop,
 ~pause, ~resume, ~status, ~snapshot and ~mark control the recorder, if --no-services does not close
-them. Every option can also be set as
-a private parameter of the node: its long name with _ for -, as in ~node_id; ~topics is a list.
+them. Every option can also be set as a private parameter of the node: its long name with _ for -,
+as in ~node_id; ~topics is a list.
 """
 
 from __future__ import annotations
