@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""doc/play.md and doc/record.md: a row for every option, rosbag's and ours, and its test exists."""
+"""doc/play.md and doc/record.md have a row for every option, rosbag's and ours; each has a test."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ ROOT = Path(__file__).resolve().parents[1]
 PARSERS = {"play": player.make_parser, "record": recorder.make_parser}
 # Options of programs of rosbag other than its front end in this version: see doc/record.md.
 LATER = {"-L", "--min-space", "-s", "--snapshot"}
+TESTS = ROOT / "test/options.md"
 KINDS = {"keep", "adapt", "drop", "ours"}
 OPTION = re.compile(r"(?<![\w-])(--?[A-Za-z][\w-]*)")
 
 
 def rows(name):
-    """The rows of the tables: (options, kind, what it does, test)."""
+    """The rows of the tables: (options, kind, what it does)."""
     for line in (ROOT / "doc" / f"{name}.md").read_text(encoding="utf-8").splitlines():
         if line.startswith("| ") and not line.startswith(("| option", "| ---")):
             cells = [cell.strip() for cell in line.strip("|").split(" | ")]
-            assert len(cells) == 4, line
+            assert len(cells) == 3, line
             yield (set(re.findall(r"`(-[^`]*)`", cells[0])), *cells[1:])
 
 
@@ -44,7 +45,7 @@ def test_every_option_has_a_row(name, ros_env):
     assert {"-h", "--help", "-q"} <= theirs
     theirs |= LATER if name == "record" else set()
     ours = {text for action in PARSERS[name]()._actions for text in action.option_strings}
-    kinds = {option: kind for options, kind, *_ in rows(name) for option in options}
+    kinds = {option: kind for options, kind, _ in rows(name) for option in options}
     assert set(kinds) == theirs | ours
     assert set(kinds.values()) <= KINDS
     # What is dropped or only like theirs may have another name; the rest is what it says.
@@ -53,15 +54,20 @@ def test_every_option_has_a_row(name, ros_env):
     assert {option for option, kind in kinds.items() if kind in ("keep", "ours")} <= ours
 
 
-@pytest.mark.parametrize("name", PARSERS)
-def test_every_row_names_a_test_that_exists(name):
-    known = {}
-    for options, _, what, test in rows(name):
+@pytest.mark.parametrize(("name", "program"), [("play", "player"), ("record", "recorder")])
+def test_every_option_has_a_test_that_exists(name, program):
+    known, tests = {}, {}
+    for line in TESTS.read_text(encoding="utf-8").splitlines():
+        if line.startswith(f"| {program} | "):
+            _, options, test = line.strip("| ").split(" | ")
+            tests[frozenset(re.findall(r"`(-[^`]*)`", options))] = test
+    for options, _, what in rows(name):
         assert what, options
-        named = re.findall(r"`([\w/]+\.py)::(\w+)`", test)
+        named = re.findall(r"`([\w/]+\.py)::(\w+)`", tests.pop(frozenset(options)))
         assert named, options
         for path, function in named:
             if path not in known:
                 tree = ast.parse((ROOT / "test" / path).read_text(encoding="utf-8"))
                 known[path] = {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}
             assert function in known[path], (options, path, function)
+    assert not tests
