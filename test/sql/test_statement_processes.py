@@ -174,6 +174,15 @@ def test_what_is_not_waited_for_ends_and_its_process_goes_on(pids, own, store):
     assert len(pids() & before) in (0, 1)  # a busy machine may not stop it in time
 
 
+def test_its_process_has_the_lowest_priority(pids, own, store):
+    run(own, store, "SELECT 1")
+    (pid,) = pids()
+    assert os.getpriority(os.PRIO_PROCESS, pid) == 19
+    group = Path(f"/proc/{pid}/autogroup")
+    if group.exists():  # the session of the process has the lowest, too
+        assert group.read_text("ascii").endswith(" nice 19\n")
+
+
 @pytest.mark.suite("all", "a call of DuckDB that cannot be interrupted")
 def test_what_cannot_be_interrupted_is_killed(pids, own, store):
     run(own, store, "SELECT 1")
