@@ -179,8 +179,9 @@ def test_its_process_has_the_lowest_priority(pids, own, store):
     (pid,) = pids()
     assert os.getpriority(os.PRIO_PROCESS, pid) == 19
     group = Path(f"/proc/{pid}/autogroup")
-    if group.exists():  # the session of the process has the lowest, too
-        assert group.read_text("ascii").endswith(" nice 19\n")
+    text = group.read_text("ascii") if group.exists() else ""
+    if text:  # the kernel weighs sessions: that of the process has the lowest, too
+        assert text.endswith(" nice 19\n")
 
 
 @pytest.mark.suite("all", "a call of DuckDB that cannot be interrupted")

@@ -206,9 +206,9 @@ class McapReader(MessageFile):
         """
         entry, where = self._chunks[chunk], self._where(chunk)
         count = uncounted if entry.records_counted else partial(self._allowance.records, where)
-        found = mcapformat.find_messages(content, where, offsets, count)
+        messages = mcapformat.find_messages(content, where, offsets, count)
         entry.records_counted = True
-        return found
+        return messages
 
     def _content(self, chunk: int) -> bytes:
         entry, where = self._chunks[chunk], self._where(chunk)

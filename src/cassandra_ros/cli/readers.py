@@ -55,10 +55,10 @@ def age(text: str) -> float:
 
 def truth(text: str) -> bool:
     """Parse true or false as written in ROS parameters."""
-    known = {"true": True, "1": True, "false": False, "0": False}
-    if text.lower() not in known:
+    words = {"true": True, "1": True, "false": False, "0": False}
+    if text.lower() not in words:
         raise argparse.ArgumentTypeError(f"{text!r:.40} is neither true nor false")
-    return known[text.lower()]
+    return words[text.lower()]
 
 
 def whole_number(text: str) -> int:

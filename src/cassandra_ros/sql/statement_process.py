@@ -17,6 +17,7 @@ import shutil
 import signal
 import sys
 import threading
+import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Iterator
@@ -58,6 +59,9 @@ _PIECE_BYTES = 4 << 20
 _END_SEC = 2.0
 """Maximum time until the process ends when its input has ended, s."""
 _LOWEST = 19
+"""Lowest priority that Linux knows, as nice."""
+_TRIES = 20
+"""Maximum number of tries to give it to the session, each 0.1 s after the one before."""
 _log = logging.getLogger(__name__)
 
 
@@ -240,8 +244,14 @@ def _yield_processor() -> None:
     """Take the lowest priority, among the processes of this session and among sessions."""
     os.nice(_LOWEST)
     # Linux weighs sessions against each other, unless it was built or started without that.
-    with suppress(OSError), open("/proc/self/autogroup", "w", encoding="ascii") as group:
-        group.write(str(_LOWEST))
+    with suppress(OSError):
+        for _ in range(_TRIES):
+            try:
+                with open("/proc/self/autogroup", "w", encoding="ascii") as group:
+                    group.write(str(_LOWEST))
+                return
+            except BlockingIOError:  # users other than root do so ten times a second at most
+                time.sleep(0.1)
 
 
 def main() -> int:
