@@ -286,8 +286,19 @@ def test_a_node_says_which_master_it_waits_for(ros_env, cassandra, rosCas, keysp
 @pytest.mark.suite("all", "it stops a master, and waits")
 def test_a_node_goes_on_when_its_master_comes(master, cassandra, rosCas, keyspace):
     master.stop()
-    with start_recorder(master, cassandra, keyspace, "-a") as child:
+    with start_recorder(master, cassandra, keyspace, "/a") as child:
         child.await_line("waiting for the ROS master")
         master.start()
-        child.await_line("services under /recorder")
-        assert child.end() == 0, child.output
+        child.await_line("recording 1 topic")
+        with RawPublisher(master.uri, "/a", header_of(String)) as one:
+            one.await_subscribers().publish(text(1))
+            assert child.end() == 0, child.output
+    assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(1)]
+
+
+def test_a_recorder_of_all_topics_takes_none_that_only_it_publishes(master, cassandra, keyspace):
+    with start_recorder(master, cassandra, keyspace, "-a") as child:
+        with RawPublisher(master.uri, "/a", header_of(String)) as one:
+            one.await_subscribers().publish(text(1))
+            assert child.end() == 0, child.output
+    assert not any("/diagnostics" in line or "/rosout" in line for line in child.lines)

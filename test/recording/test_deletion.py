@@ -193,6 +193,24 @@ def test_one_thread_makes_the_table_after_a_removal(rosCas, connect, monkeypatch
         assert writer.current(second).table is writer.current(handle).table
 
 
+@pytest.mark.parametrize("form", ["packed", "ros"])
+def test_no_message_is_lost_when_the_keyspace_is_dropped_before_a_bucket(rosCas, cql, form):
+    """The writer asks the directory of the new bucket, which went with the keyspace."""
+    losses = []
+    with rosCas.messageWriter(
+        format=form, on_loss=lambda topic, number, exc: losses.append(exc)
+    ) as writer:
+        handle = writer.connect(live_connection("/a", HEADER))
+        writer.write(handle, 0, 0, serialize(String("gone")))
+        writer.flush()
+        cql.execute(f"DROP KEYSPACE {rosCas.keyspace}")
+        later = handle.table.metadata.bucket_ns
+        for number in range(1, 4):
+            writer.write(handle, number * later, number, serialize(String("kept")))
+    assert losses == []
+    assert [row.t for row in rosCas.getTopic("/a").rows()] == [later, 2 * later, 3 * later]
+
+
 @pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_recording_goes_on_after_its_keyspace_was_dropped(rosCas, connect, recorded, cql):
     """The keyspace is made anew with its side tables, and the topic in it."""

@@ -483,7 +483,7 @@ class Recorder:
 
     def _discover(self, announce: bool) -> None:
         try:
-            published = published_topics() if self._options.discovers else []
+            published = [] if self._own is None else published_topics(self._own.name)
             selected = [topic for topic in published if self._options.chooses(topic)]
             selected += self._of_node()
         except MASTER_ERRORS as exc:
@@ -540,13 +540,14 @@ class _OwnMessages:
     """
 
     def __init__(self, name: str) -> None:
-        self._name = name
+        self.name = name
+        """Full name of the node."""
 
     def said(self, topic: str, header: Mapping[str, str], wire: bytes) -> bool:
         """Return whether this node sent a message: by its publisher, on /rosout_agg by Log.name."""
-        if header.get("callerid") == self._name:
+        if header.get("callerid") == self.name:
             return True
-        return topic == "/rosout_agg" and log_name(wire) == self._name
+        return topic == "/rosout_agg" and log_name(wire) == self.name
 
 
 _U32 = struct.Struct("<I").unpack_from

@@ -134,10 +134,13 @@ class Subscriptions:
         return sorted(left)
 
 
-def published_topics() -> list[str]:
-    """Return the topics that have a publisher; raises one of MASTER_ERRORS."""
-    _, _, published = rospy.get_master().getPublishedTopics("")
-    return [topic for topic, _ in published]
+def published_topics(but_of: str = "") -> list[str]:
+    """Return the topics that have a publisher other than the node of this name.
+
+    Raises one of MASTER_ERRORS.
+    """
+    _, _, (publishers, _, _) = rospy.get_master().getSystemState()
+    return [topic for topic, nodes in publishers if any(node != but_of for node in nodes)]
 
 
 def subscribed_topics(node: str) -> list[str]:

@@ -34,7 +34,13 @@ from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.driver_errors import is_passing, is_table_gone, translate
 from cassandra_ros.connection.protocol import EncodedRows, Prepared
 from cassandra_ros.connection.requests import Flight, Outcome, Patience
-from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
+from cassandra_ros.errors import (
+    CassandraRosError,
+    KeyspaceNotFound,
+    StoreUnavailable,
+    TopicNotFound,
+    WriteFailed,
+)
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.checksum import crc32
 from cassandra_ros.tables.directory import HEARTBEAT_SEC, BucketTotals, Directory
@@ -73,6 +79,9 @@ _OWN = struct.Struct(">iqiqiqii")
 """_t, _seq, _conn and _size, each after its size."""
 
 _time_of, _wire_of = attrgetter("t"), attrgetter("wire")
+
+GONE = (TopicNotFound, KeyspaceNotFound)
+"""The errors of a table that was dropped, alone or with its keyspace."""
 
 Again = Callable[[], object]
 """Writes a message again, into the table that its topic has then."""
@@ -490,7 +499,7 @@ class RowWriter:
                 write the message into another table; without it the row is lost.
 
         Raises:
-            TopicNotFound: The table was dropped; the row was not taken.
+            TopicNotFound, KeyspaceNotFound: The table was dropped; the row was not taken.
         """
         with self._lock:
             if self._error is not None:
@@ -506,7 +515,7 @@ class RowWriter:
                 bucket.add(row, again)
                 if table.named or bucket.is_full():
                     self._send(bucket)
-            except TopicNotFound:
+            except GONE:
                 self.gone.add(table.name)
                 raise
 
@@ -521,7 +530,7 @@ class RowWriter:
             while at < len(rows) and self._error is None:
                 try:
                     bucket = self._bucket(table, node, rows[0].t // table.bucket_ns)
-                except TopicNotFound:
+                except GONE:
                     break
                 taken = bucket.add_run(rows[at:], again)
                 at += taken
@@ -710,7 +719,7 @@ class RowWriter:
     ) -> None:
         """Count rows as lost, or write them again later if their table was dropped."""
         lost = len(rows)
-        if isinstance(exc, TopicNotFound) or is_table_gone(exc):
+        if isinstance(exc, GONE) or is_table_gone(exc):
             # The dropped table has none of them left, so writing them again makes no doubles.
             self.gone.add(table.name)
             lost -= self._write_later(table, rows)
@@ -800,7 +809,7 @@ class RowWriter:
         if now - bucket.marked > REOPEN_SEC:
             try:
                 self._reopen(bucket, late=True)
-            except (TopicNotFound, StoreUnavailable) as exc:
+            except (*GONE, StoreUnavailable) as exc:
                 if isinstance(exc, StoreUnavailable) and not self.gives_back:
                     raise
                 batch = bucket.drop()

@@ -40,7 +40,7 @@ from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.metadata import ANY_MD5, Kind, TopicMetadata, message_kind
-from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
+from cassandra_ros.store.writer import GONE, LossCallback, RowWriter, WriteStats
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import NewRow
 from cassandra_ros.topics.keyspace import Keyspace
@@ -412,7 +412,7 @@ class MessageWriter:
                     if handle.table.name in self._rows.gone:
                         return self._put(self._current(handle), t_ns, seq, wire, name)
                     return self._put(handle, t_ns, seq, wire, name)
-                except TopicNotFound:  # another client removed it: it goes on in a new table
+                except GONE:  # another client removed it: it goes on in a new table
                     if not left:
                         raise
             raise AssertionError("the loop above returns or raises")
