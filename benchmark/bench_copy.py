@@ -37,11 +37,11 @@ from suite.results import Results
 from suite.server import Server
 
 from cassandra_ros import Replicator, RosCassandra
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.copying.follower import Follower
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.stores.copying.follower import Follower
 
 ROOT = Path(__file__).resolve().parents[1]
 EXPERIMENT = "copy"

@@ -31,14 +31,14 @@ from genpy import Time
 from sensor_msgs.msg import LaserScan, MultiEchoLaserScan
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.blocks.codec import pack_block, unpack_block
 from cassandra_ros.errors import CassandraRosError
-from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import FORMATS, format_class
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
+from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.store.blocks.codec import pack_block, unpack_block
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ROOT / "examples/data"

@@ -23,9 +23,9 @@ from sensor_msgs.msg import JointState, LaserScan
 from std_msgs.msg import Float64, String
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import format_class
 from cassandra_ros.messages.classes import deserialize, installed_definition
+from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.wire.objects import ObjectMaker
 
 size = Struct(">i").pack

@@ -28,8 +28,8 @@ from suite.contenders import folder_bag
 from suite.messages import Batch, blob, imu
 from suite.server import Server
 
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import free_port
 
 ROOT = Path(__file__).resolve().parents[1]

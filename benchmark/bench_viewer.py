@@ -41,7 +41,7 @@ from suite.viewer import (
 )
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.tables.directory import BucketTotals
+from cassandra_ros.store.tables.directory import BucketTotals
 
 ROOT = Path(__file__).resolve().parents[1]
 YEAR_TOPICS, YEAR_HOURS, YEAR_RATE_HZ = 4, 365 * 24, 8

@@ -25,10 +25,10 @@ from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.mapping.map_builder import makeMap
-from cassandra_ros.mapping.pose_offers import Measurements
-from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.viewing.mapping.map_builder import makeMap
+from cassandra_ros.viewing.mapping.pose_offers import Measurements
+from cassandra_ros.viewing.mapping.sensor_poses import PoseChoice, SensorPoses
 
 VIEWER = Path(__file__).resolve().parents[1] / "scripts" / "viewer"
 BAGS = os.environ.get("CASSANDRA_ROS_BAGS")

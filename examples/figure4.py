@@ -21,8 +21,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from cassandra_ros import CassandraRosError, MapOptions, PoseChoice, RosCassandra, makeMap
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import TransformException
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.places.rigid import Rigid
 
 BAGS = os.environ.get("CASSANDRA_ROS_BAGS")

@@ -33,8 +33,8 @@ from stage import (
 )
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.copying.copy_status import copy_status
 from cassandra_ros.local_server import LocalCluster, free_port
+from cassandra_ros.stores.copying.copy_status import copy_status
 from faults.proxy import Proxy
 
 POLL_SEC = 1.0

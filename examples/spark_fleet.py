@@ -21,7 +21,7 @@ from pyspark.sql import SparkSession
 from pyspark.sql import functions as sql
 
 from cassandra_ros import CassandraRosError, RosCassandra
-from cassandra_ros.spark import topic
+from cassandra_ros.client.spark import topic
 
 ACCURACY = 10_000
 """The rank of a percentile is wrong by at most this part of the messages of an hour."""

@@ -14,8 +14,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Mapping, Sequence
 
-from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.errors import ServerError
+from cassandra_ros.files.bag.bag_reader import BagReader
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.ports import is_free
 

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.importer import import_bag
 
 BAG = Path(__file__).resolve().parent / "data" / "turtlesim_tf.bag"
 CAMERAS = ["Image", "CompressedImage", "LaserScan", "Color"]

@@ -8,7 +8,7 @@ import collections
 import contextlib
 import uuid
 
-from cassandra_ros.tables.side_tables import LATER_TABLES, SIDE_TABLES
+from cassandra_ros.store.tables.side_tables import LATER_TABLES, SIDE_TABLES
 
 MOST_TABLES = 50
 """What a keyspace may hold of earlier tests: each change of its schema goes through all of it."""

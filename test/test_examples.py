@@ -17,7 +17,7 @@ from conftest import ROOT
 from nodes.children import Child, start_recorder
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.importer import import_bag
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
 TURTLES = ROOT / "examples/data/turtlesim_tf.bag"

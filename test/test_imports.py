@@ -26,10 +26,22 @@ GROUND = {
     "own_files",
 }
 
-# Room -> the rooms below it that it may use.
-CASSANDRA = {"connection", "tables", "blocks", "store"}
-STORED = {*CASSANDRA, "formats", "query", "messages"}
-TOPICS = {*STORED, "topics", "places", "transforms", "arrays"}
+# The rooms, lowest first; a room imports no room that comes after it.
+ROOMS = (
+    *("messages", "store", "query", "places", "topics", "client", "stores", "files", "recording"),
+    *("playing", "local_server", "viewing", "nodes", "cli"),
+)
+
+# Room, or folder in it that has an order of its own -> the ones that it may use.
+STORE = {"store/connection", "store/tables", "store/blocks", "store/rows"}
+MESSAGES = {"messages", "messages/formats"}
+TOPICS = {
+    *("topics", "places", "places/transforms", "query", "query/arrays"),
+    *STORE,
+    *MESSAGES,
+}
+KEPT = {*TOPICS, "topics/overview", "topics/upkeep"}
+CLIENT = {*KEPT, "client", "client/sql"}
 BELOW = {
     "errors": set(),
     "keys": {"errors"},
@@ -40,43 +52,44 @@ BELOW = {
     "installation": {"errors"},
     "own_files": set(),
     "messages": set(),
-    "formats": {"messages"},
-    "connection": set(),
-    "tables": {"connection"},
-    "blocks": {"tables", "connection"},
-    "store": {"blocks", "tables", "connection"},
+    "messages/formats": {"messages"},
+    "store/connection": set(),
+    "store/tables": {"store/connection"},
+    "store/blocks": {"store/tables", "store/connection"},
+    "store/rows": STORE,
     "query": {"messages"},
-    "arrays": {"query", "messages"},
-    "transforms": {"query", "messages"},
-    "places": {"transforms", "query", "arrays", "tables", "messages"},
-    "topics": TOPICS - {"topics"},
-    "overview": TOPICS,
-    "sql": TOPICS,
-    "spark": {*TOPICS, "client"},
-    "upkeep": {*TOPICS, "overview"},
-    "client": {*TOPICS, "overview", "upkeep", "sql"},
-    "copying": {*TOPICS, "overview", "upkeep", "client"},
-    "fleet": {*TOPICS, "client"},
-    "spool": {"bag", "tables", "messages"},
-    "recording": {"spool", "copying", *TOPICS},
-    "playing": {*TOPICS, "overview", "fleet"},
-    "history": {"recording", *TOPICS},
-    "bag": {*TOPICS, "overview", "client", "fleet"},
+    "query/arrays": {"query", "messages"},
+    "places/transforms": {"query", "messages"},
+    "places": {"places/transforms", "query", "query/arrays", "store/tables", "messages"},
+    "topics": TOPICS,
+    "topics/overview": TOPICS,
+    "topics/upkeep": {*TOPICS, "topics/overview"},
+    "client/sql": TOPICS,
+    "client": {*KEPT, "client/sql"},
+    "client/spark": {*TOPICS, "client"},
+    "stores/copying": {*KEPT, "client"},
+    "stores/fleet": {*TOPICS, "client"},
+    "files/bag": {*TOPICS, "topics/overview", "client", "stores/fleet"},
+    "files/spool": {"files/bag", "store/tables", "messages"},
+    "recording": {"files/spool", "stores/copying", *TOPICS},
+    "playing": {*TOPICS, "topics/overview", "stores/fleet"},
+    "playing/history": {"recording", *TOPICS},
     "local_server": set(),
-    "nodes": {
-        *("recording", "playing", "history", "copying", "fleet", "client", "overview", "sql"),
-        *TOPICS,
-    },
-    "mapping": {*TOPICS, "overview", "client"},
-    "drawing": {"mapping", "overview", "client", *TOPICS},
+    "viewing/mapping": {*TOPICS, "topics/overview", "client"},
+    "viewing/drawing": {"viewing/mapping", "topics/overview", "client", *TOPICS},
     "viewing": {
-        *("drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", "sql"),
-        *("fleet", *TOPICS),
+        *("viewing/drawing", "viewing/mapping", "files/bag", "recording", "stores/fleet"),
+        *CLIENT,
+    },
+    "nodes": {
+        *("recording", "playing", "playing/history", "stores/copying", "stores/fleet", "client"),
+        *("topics/overview", "client/sql"),
+        *TOPICS,
     },
     "cli": {
-        *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),
-        *("copying", "fleet", "client", "upkeep", "overview", "spool", "sql"),
-        *TOPICS,
+        *("viewing", "viewing/drawing", "viewing/mapping", "nodes", "recording", "playing"),
+        *("files/bag", "files/spool", "local_server", "stores/copying", "stores/fleet"),
+        *CLIENT,
     },
 }
 
@@ -87,22 +100,22 @@ DOORS = {
     "rospy": {"nodes"},
     "rostopic": {"nodes"},
     "rosgraph": {"messages/ros_master.py"},
-    "cassandra": {"connection", "tables", "store"},
-    "genpy": {"messages", "formats"},
-    "genmsg": {"messages", "formats"},
-    "roslib": {"messages", "formats"},
-    "rosbag": {"bag"},
-    "lz4": {"bag"},
-    "mcap": {"bag"},
-    "isal": {"tables/checksum.py"},
-    "tf2_py": {"transforms"},
-    "geometry_msgs": {"transforms"},
+    "cassandra": {"store"},
+    "genpy": {"messages"},
+    "genmsg": {"messages"},
+    "roslib": {"messages"},
+    "rosbag": {"files"},
+    "lz4": {"files"},
+    "mcap": {"files"},
+    "isal": {"store/tables/checksum.py"},
+    "tf2_py": {"places"},
+    "geometry_msgs": {"places"},
     "lark": {"query"},
-    "pyspark": {"spark"},
+    "pyspark": {"client/spark"},
     "argparse": {"cli"},
     "aiohttp": {"viewing"},
-    "matplotlib": {"drawing"},
-    "PIL": {"drawing"},
+    "matplotlib": {"viewing/drawing"},
+    "PIL": {"viewing/drawing"},
 }
 
 
@@ -120,8 +133,15 @@ def name_of(path):
     return path.relative_to(PACKAGE).as_posix()
 
 
+def room_of(name):
+    """The part of the package with an order of its own in which a file lies, by its name."""
+    first, *rest = name.replace(".py", "").split("/")
+    inner = f"{first}/{rest[0]}" if rest else first
+    return inner if inner in BELOW else first
+
+
 def layer_of(path):
-    return name_of(path).split("/")[0].replace(".py", "")
+    return room_of(name_of(path))
 
 
 def imports(path):
@@ -139,20 +159,25 @@ def imports(path):
 
 def test_every_folder_has_its_place_among_the_layers():
     layers = {layer_of(path) for path in modules()} - {"__init__"}
-    assert layers == set(BELOW)
+    assert layers - set(ROOMS) == set(BELOW) - set(ROOMS)
+    assert {path.parent.name for path in PACKAGE.glob("*/__init__.py")} == set(ROOMS)
+    for room, used in BELOW.items():
+        if room not in GROUND:
+            first = ROOMS.index(room.split("/")[0])
+            assert all(ROOMS.index(other.split("/")[0]) <= first for other in used), room
 
 
 @pytest.mark.suite("all", "it parses all sources")
 def test_imports_point_downwards():
     for path in modules():
         layer = layer_of(path)
-        if layer == "__init__":  # the package's own only names what is public
-            continue
+        if path.name == "__init__.py" and layer not in BELOW or layer == "__init__":
+            continue  # the package's own only names what is public
         allowed = BELOW[layer] | GROUND | {layer} if layer not in GROUND else BELOW[layer] | {layer}
         for imported in imports(path):
             if not imported.startswith("cassandra_ros."):
                 continue
-            used = imported.split(".")[1]
+            used = room_of(imported.split(".", 1)[1].replace(".", "/"))
             if used in ("msg", "srv"):
                 continue
             assert used in allowed, f"{name_of(path)} imports {imported}, which lies above {layer}"
@@ -164,7 +189,7 @@ def test_foreign_modules_come_in_by_their_door():
         for imported in imports(path):
             for module, doors in DOORS.items():
                 if imported == module or imported.startswith(module + "."):
-                    places = {layer_of(path), name_of(path)}
+                    places = {layer_of(path), layer_of(path).split("/")[0], name_of(path)}
                     assert places & doors, f"{name_of(path)} imports {imported}: only in {doors}"
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import String
 
 from cassandra_ros.errors import UnsupportedSchema
-from cassandra_ros.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import FORMATS, format_class
 from cassandra_ros.metadata import _CHECKS, FORMAT_NAMES, MetaView, TopicMetadata, from_comment
 
 GOOD = TopicMetadata(

@@ -41,17 +41,17 @@ from std_msgs.msg import Bool, Float64, Int64, String, UInt64
 from topics.test_run_states import begin
 
 from cassandra_ros import Bag, RosCassandra
-from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.cli import cassandra_bag, local_cassandra, player, recorder
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, TopicNotFound
+from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.keys import SECOND_NS as SEC
 from cassandra_ros.local_server import LocalCluster
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.tables.directory import STALE_SEC
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.directory import STALE_SEC
+from cassandra_ros.store.tables.registry import LossKind
 
 T0 = 1_500_000_000 * SEC
 STAMP = 1368021980238582676

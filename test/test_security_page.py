@@ -13,11 +13,19 @@ import pytest
 from hostile.inputs import GROWTH_MB, INPUT_SEC
 
 from cassandra_ros import own_files
-from cassandra_ros.bag import format as bag_format
-from cassandra_ros.bag import mcap_format, message_file
 from cassandra_ros.cli import viewer
 from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.recorder import make_parser
+from cassandra_ros.client.sql import (
+    duck_database,
+    process_frames,
+    sql_statement,
+    statement_process,
+    statement_processes,
+)
+from cassandra_ros.files.bag import format as bag_format
+from cassandra_ros.files.bag import mcap_format, message_file
+from cassandra_ros.files.spool import spool_folder
 from cassandra_ros.local_server import LocalCluster, cluster_settings, ports, processes
 from cassandra_ros.local_server.cluster_settings import Settings
 from cassandra_ros.messages import definition, shape
@@ -25,14 +33,6 @@ from cassandra_ros.nodes import history_subscriber, query_node, ros_node, subscr
 from cassandra_ros.query.rows import answer_bound
 from cassandra_ros.query.tree import parse
 from cassandra_ros.recording import place_keeper, recording, topic_settings
-from cassandra_ros.spool import spool_folder
-from cassandra_ros.sql import (
-    duck_database,
-    process_frames,
-    sql_statement,
-    statement_process,
-    statement_processes,
-)
 from cassandra_ros.viewing import security, viewer_server, viewer_settings
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,7 +21,7 @@ SCHEMA_VERSION = 2
 there, so they refuse a table of version 2."""
 _OURS, _FILLING = "cassandra_ros", "cassandra_ros_filling"
 FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
-"""Names of all storage formats; formats/table.py has the same names."""
+"""Names of all storage formats; messages/formats/table.py has the same names."""
 MAX_LIFETIME_SEC = 20 * 365 * 86_400
 """Maximum time to live that Cassandra accepts, s."""
 ANY_MD5 = "*"

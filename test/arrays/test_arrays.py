@@ -17,10 +17,7 @@ from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, install
 from query.rows import attribute, plain
 from suites import FEW_FORMATS, search, sparing
 
-from cassandra_ros.arrays import table_values
-from cassandra_ros.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.errors import CorruptMessage, InvalidQuery
-from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.messages.classes import (
     deserialize,
     installed_definition,
@@ -28,6 +25,9 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.query.arrays import table_values
+from cassandra_ros.query.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.projection import Projection
 from cassandra_ros.query.tree.field_names import all_fields

@@ -14,13 +14,13 @@ from messages.random_wire import DefinitionMaker
 from messages.test_message_stacks import manyWires
 from suites import search
 
-from cassandra_ros.arrays.arrow_columns import make_columns
-from cassandra_ros.arrays.arrow_types import adapt, fields_of, unite_schemas
-from cassandra_ros.arrays.stacked_values import MessageBlock, group_by_size, join_blocks
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import deserialize, message_class
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS
+from cassandra_ros.query.arrays.arrow_columns import make_columns
+from cassandra_ros.query.arrays.arrow_types import adapt, fields_of, unite_schemas
+from cassandra_ros.query.arrays.stacked_values import MessageBlock, group_by_size, join_blocks
 
 
 def columns_of(definition, wires, wanted=None):

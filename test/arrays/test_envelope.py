@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.arrays.envelope import Envelope, Grid
+from cassandra_ros.query.arrays.envelope import Envelope, Grid
 
 TIMES = st.integers(0, 5000)
 NUMBERS = st.one_of(st.floats(), st.sampled_from([-0.0, 1.0, math.nan]))

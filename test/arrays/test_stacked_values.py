@@ -13,9 +13,9 @@ from messages.random_wire import DefinitionMaker
 from messages.test_message_stacks import manyWires
 from suites import search
 
-from cassandra_ros.arrays import table_values
-from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.query.arrays import table_values
+from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.parse import parse_select

@@ -31,7 +31,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from cassandra_ros.bag.mcap_format import MAGIC, RECORD
+from cassandra_ros.files.bag.mcap_format import MAGIC, RECORD
 
 CHUNKS, MESSAGE_INDEX, STATISTICS, SCHEMAS, CHANNELS = "ch", "mx", "st", "rsh", "rch"
 ATTACHMENT_INDEX, METADATA_INDEX, CHUNK_INDEX, OFFSETS, PADDING = "ax", "mdx", "chx", "sum", "pad"

@@ -21,21 +21,21 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
 from suites import sparing
 
-from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag import message_file
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.mcap_format import MAGIC, MESSAGE, RECORD
-from cassandra_ros.bag.message_file import MAX_BATCH
 from cassandra_ros.errors import BagError, BagTooLarge
+from cassandra_ros.files.bag import format as bagformat
+from cassandra_ros.files.bag import message_file
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.file_formats import open_file
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.mcap_format import MAGIC, MESSAGE, RECORD
+from cassandra_ros.files.bag.message_file import MAX_BATCH
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20
 READ = """
 import re, sys, time
-from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.file_formats import open_file
+from cassandra_ros.files.bag.identity import read_content
+from cassandra_ros.files.bag.file_formats import open_file
 from cassandra_ros.errors import BagError
 count = nbytes = 0
 error = ""

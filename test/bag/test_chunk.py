@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.errors import BagError
+from cassandra_ros.files.bag import format as bagformat
+from cassandra_ros.files.bag.bag_reader import BagReader
 from cassandra_ros.keys import SECOND_NS
 
 

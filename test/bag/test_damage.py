@@ -14,11 +14,11 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from suites import search
 
-from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.message_file import read_in_order
 from cassandra_ros.errors import BagError
+from cassandra_ros.files.bag import format as bagformat
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.message_file import read_in_order
 
 MANY = search(600, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

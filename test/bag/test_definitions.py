@@ -13,16 +13,16 @@ from bag.truth import read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import Int32, String
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.stored_bag import Bag
 from cassandra_ros.errors import TypeMismatch
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.stored_bag import Bag
 from cassandra_ros.messages.classes import message_class, serialize, to_yaml
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import attribute_name, parse_definition
+from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.played_store import PlayedKeyspace

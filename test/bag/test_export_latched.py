@@ -8,11 +8,11 @@ import pytest
 import rosbag
 from bag.truth import read_with_rosbag, string_connection, string_wire
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag, verify_content
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.cli import cassandra_bag
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag, verify_content
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

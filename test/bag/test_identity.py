@@ -9,10 +9,10 @@ import shutil
 import pytest
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.identity import read_content
+from cassandra_ros.files.bag import format as bagformat
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.identity import read_content
 
 
 def write(path, messages, connections=None, **options):

@@ -18,14 +18,6 @@ from nodes.raw_publisher import header_of
 from std_msgs.msg import String
 from suites import sparing
 
-from cassandra_ros.bag import exporter
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.message_file import match_topics
 from cassandra_ros.errors import (
     BagError,
     BagUnindexed,
@@ -35,12 +27,20 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.files.bag import exporter
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.identity import read_content
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.message_file import match_topics
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.metadata import Kind
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics import topic_table
 
 

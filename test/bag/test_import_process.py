@@ -18,9 +18,9 @@ from proxy import BATCH, Proxy
 from suites import sparing
 from topics.test_run_states import age
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.importer import import_bag
 
 ROOT = Path(__file__).resolve().parents[2]
 START = 1_700_000_000 * 10**9
@@ -28,7 +28,7 @@ START = 1_700_000_000 * 10**9
 IMPORT = """
 import os, resource, signal, sys
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.importer import import_bag
 host, port, keyspace, path, most, form = sys.argv[1:]
 done = 0
 def count(messages, size):
@@ -130,7 +130,7 @@ def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp
 def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
     import tracemalloc
 
-    from cassandra_ros.bag.bag_reader import BagReader
+    from cassandra_ros.files.bag.bag_reader import BagReader
 
     path = tmp_path / "a.bag"
     with BagWriter(path, chunk_bytes=1) as writer:

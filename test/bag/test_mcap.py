@@ -20,12 +20,12 @@ from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros1.decoder import DecoderFactory
 from suites import search
 
-from cassandra_ros.bag.file_formats import make_file, open_file
-from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.mcap_channel import HEADER, NUMBER, to_channel, to_connection
-from cassandra_ros.bag.mcap_format import RECORD, find_messages, walk
-from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.files.bag.file_formats import make_file, open_file
+from cassandra_ros.files.bag.identity import read_content
+from cassandra_ros.files.bag.mcap_channel import HEADER, NUMBER, to_channel, to_connection
+from cassandra_ros.files.bag.mcap_format import RECORD, find_messages, walk
+from cassandra_ros.files.bag.mcap_writer import McapWriter
 from cassandra_ros.messages.connection_header import Connection, live_connection
 
 BAGS = ("turtlesim_tf", "primitive_arrays", "empty_message_definition", "ros_numpy_types")

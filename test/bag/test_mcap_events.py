@@ -14,12 +14,12 @@ from mcap.writer import Writer
 from std_msgs.msg import String
 from topics.test_events import NAMES
 
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.mcap_events import NAME, event_of, fields_of
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.errors import BagError, StoreUnavailable
-from cassandra_ros.tables.event_table import Event
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.mcap_events import NAME, event_of, fields_of
+from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.topics.event_finder import Events
 
 SEC = 10**9

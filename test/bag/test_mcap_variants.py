@@ -13,10 +13,10 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Message
 from suites import sparing
 
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.mcap_reader import McapReader
 from cassandra_ros.errors import BagError
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.mcap_reader import McapReader
 
 VARIANTS = {variant.name: variant for variant in variants()}
 FEW = [name for n, name in enumerate(sorted(VARIANTS)) if n % 4 == 0]

@@ -10,13 +10,13 @@ import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from suites import FEW_FORMATS, sparing
 
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.keys import MAX_NS
+from cassandra_ros.messages.formats.table import FORMATS
 
 SEC = 10**9
 Y2038 = 2**31 * SEC

@@ -13,12 +13,12 @@ from bag.test_import_export import counts_agree
 from bag.test_import_process import spawn_import
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.bag import importer
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.blocks.block_builder import Limits
-from cassandra_ros.tables import replacement
+from cassandra_ros.files.bag import importer
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.store.blocks.block_builder import Limits
+from cassandra_ros.store.tables import replacement
 
 START = 1_700_000_000 * 10**9
 
@@ -155,7 +155,7 @@ def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
     rosCas, cql, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
-    monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
+    monkeypatch.setattr("cassandra_ros.store.tables.schema.CACHE_SEC", 0.03)
     # What is late makes blocks begin elsewhere than in the order of time.
     path = jumbled_bag(tmp_path / "a.bag", 2000)
     with rosCas.messageWriter(format="binary") as writer:  # others keep theirs

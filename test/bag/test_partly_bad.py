@@ -8,13 +8,13 @@ import pytest
 from bag.truth import string_connection, string_wire
 from mcap.writer import CompressionType, IndexType, Writer
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.mcap_channel import HEADER
 from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.file_formats import open_file
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.mcap_channel import HEADER
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection
 

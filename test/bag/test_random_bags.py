@@ -18,14 +18,14 @@ from compiled import packed_by_rosbag
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed
 from suites import FEW_FORMATS, examples, sparing
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.table import FORMATS
 
 SEC = 10**9
 TOPICS = ("/tf", "no_slash", "/camera/image raw", "/käse", "/'; DROP\"", "/a//b")

@@ -7,10 +7,10 @@ from __future__ import annotations
 import pytest
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.importer import table_lengths
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.identity import read_content
+from cassandra_ros.files.bag.importer import table_lengths
 
 SECOND = 10**9
 MINUTE, HOUR, DAY = 60 * SECOND, 3600 * SECOND, 86_400 * SECOND

@@ -10,10 +10,10 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from cassandra_ros.bag import importer
-from cassandra_ros.bag.importer import ReadAhead
-from cassandra_ros.bag.message_file import MessageBatch
 from cassandra_ros.errors import BagError
+from cassandra_ros.files.bag import importer
+from cassandra_ros.files.bag.importer import ReadAhead
+from cassandra_ros.files.bag.message_file import MessageBatch
 
 
 def batch(number, size):

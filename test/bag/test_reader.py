@@ -12,10 +12,10 @@ from compiled import compiled
 from std_msgs.msg import String
 from suites import sparing
 
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.message_file import read_in_order
 from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.message_file import read_in_order
 
 READABLE = (
     "backpack_multiecho_bz2",
@@ -145,7 +145,7 @@ def test_files_that_are_no_bags_say_what_they_are(tmp_path):
 
 
 def test_an_encrypted_bag_is_named_as_such(tmp_path):
-    from cassandra_ros.bag import format as bagformat
+    from cassandra_ros.files.bag import format as bagformat
 
     header = (
         (b"op", b"\x03"),

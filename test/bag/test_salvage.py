@@ -11,16 +11,16 @@ import pytest
 from bag.truth import string_connection, string_wire
 from mcap.opcode import Opcode
 
-from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.mcap_format import walk
-from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.errors import BagError
+from cassandra_ros.files.bag import format as bagformat
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.file_formats import open_file
+from cassandra_ros.files.bag.identity import read_content
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.mcap_format import walk
+from cassandra_ros.files.bag.mcap_writer import McapWriter
 
 SEC = 10**9
 TIMES = [[5, 3, 9, 4], [8, 1, 2], [7, 6]]

@@ -21,10 +21,6 @@ from geometry_msgs.msg import Twist
 from std_msgs.msg import Header, String
 
 import cassandra_ros
-from cassandra_ros.bag import stored_bag
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.summary import Summary, TopicSummary
 from cassandra_ros.errors import (
     BagError,
     BagNotFound,
@@ -33,6 +29,10 @@ from cassandra_ros.errors import (
     RunNotFound,
     TypeMismatch,
 )
+from cassandra_ros.files.bag import stored_bag
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.summary import Summary, TopicSummary
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import Stamp
@@ -547,7 +547,7 @@ def test_a_file_object_stands_for_its_path(opened, tmp_path):
 def test_an_error_is_rosbags_only_where_rosbag_is_imported():
     script = """
 import sys
-from cassandra_ros.bag.rosbag_errors import bag_error
+from cassandra_ros.files.bag.rosbag_errors import bag_error
 print(type(bag_error("x")).__mro__[1].__name__, "rosbag" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

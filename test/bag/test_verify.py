@@ -12,13 +12,19 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from std_msgs.msg import Header
 
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.comparison import Comparison, Entry, VerifyReport, verify_bag, verify_content
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.message_file import read_in_order
 from cassandra_ros.errors import BagError, MessageNotFound
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.comparison import (
+    Comparison,
+    Entry,
+    VerifyReport,
+    verify_bag,
+    verify_content,
+)
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.message_file import read_in_order
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp, iso_time

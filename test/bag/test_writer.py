@@ -13,9 +13,9 @@ from bag.test_reader import READABLE
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from suites import sparing
 
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.errors import BagError
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection
 

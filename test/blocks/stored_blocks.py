@@ -8,13 +8,13 @@ import zlib
 
 from std_msgs.msg import String
 
-from cassandra_ros.blocks.codec import pack_block
 from cassandra_ros.keys import writer_of
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.tables.directory import BucketTotals, slot_of
-from cassandra_ros.tables.row_table import bind, encode_int, encode_long
+from cassandra_ros.store.blocks.codec import pack_block
+from cassandra_ros.store.tables.directory import BucketTotals, slot_of
+from cassandra_ros.store.tables.row_table import bind, encode_int, encode_long
 
 SEC = 10**9
 MS = 10**6

@@ -12,17 +12,17 @@ from nodes.children import await_true
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String, UInt8MultiArray
 
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.blocks import block_row
-from cassandra_ros.blocks.block_deletion import BlockDeletion
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.exporter import export_bag
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.tables.row_table import CHUNK_BYTES, BlockKey, encode_int, encode_long
+from cassandra_ros.store.blocks import block_row
+from cassandra_ros.store.blocks.block_deletion import BlockDeletion
+from cassandra_ros.store.tables.row_table import CHUNK_BYTES, BlockKey, encode_int, encode_long
 
 NODE = ""
 BUCKETS_AT_ENDS = 2

@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from suites import search
 from threads import together
 
-from cassandra_ros.blocks.block_builder import (
+from cassandra_ros.messages.formats.binary import CassandraTopic_binary
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.store.blocks.block_builder import (
     ALL_BYTES,
     ALONE_BYTES,
     Builders,
@@ -23,10 +25,8 @@ from cassandra_ros.blocks.block_builder import (
     limits_for,
     make_block,
 )
-from cassandra_ros.blocks.codec import unpack_block
-from cassandra_ros.formats.binary import CassandraTopic_binary
-from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.blocks.codec import unpack_block
+from cassandra_ros.store.tables.row_table import CHUNK_BYTES
 
 SPAN, BUCKET = 50, 170
 SMALL = Limits(7, 100)

@@ -13,7 +13,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.blocks.codec import (
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.store.blocks.codec import (
     LEVEL,
     MIN_PLANES,
     QUICK_LEVEL,
@@ -21,7 +22,6 @@ from cassandra_ros.blocks.codec import (
     pack_block,
     unpack_block,
 )
-from cassandra_ros.errors import CorruptMessage
 
 LONG = st.integers(-(2**63), 2**63 - 1)
 WIRES = st.binary(max_size=6) | st.binary(min_size=4, max_size=4)

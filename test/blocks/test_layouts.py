@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import zstandard
 
-from cassandra_ros.blocks.codec import lay_out, pack_block, read_layout, unpack_block
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.wire.message_stacks import planes_of
+from cassandra_ros.store.blocks.codec import lay_out, pack_block, read_layout, unpack_block
 
 RNG = np.random.default_rng(3)
 COUNT = 400

@@ -12,15 +12,15 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from suites import examples
 
-from cassandra_ros.blocks import block_stream as streams
-from cassandra_ros.blocks.block_stream import BucketRead, WaitingRows, stream
 from cassandra_ros.keys import Position, writer_of
 from cassandra_ros.read import Read, TimeRange, Whose
-from cassandra_ros.store import reader
-from cassandra_ros.store.fetch import RowKey, fetch_rows, first_at
-from cassandra_ros.store.reader import read_rows
-from cassandra_ros.store.row_counts import recount
-from cassandra_ros.tables import directory as listing
+from cassandra_ros.store.blocks import block_stream as streams
+from cassandra_ros.store.blocks.block_stream import BucketRead, WaitingRows, stream
+from cassandra_ros.store.rows import reader
+from cassandra_ros.store.rows.fetch import RowKey, fetch_rows, first_at
+from cassandra_ros.store.rows.reader import read_rows
+from cassandra_ros.store.rows.row_counts import recount
+from cassandra_ros.store.tables import directory as listing
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Finder
 from cassandra_ros.topics.stored_totals import count_rows

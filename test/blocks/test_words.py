@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.blocks.codec import (
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.store.blocks.codec import (
     LONG,
     MIN_PLANES,
     code_words,
@@ -20,7 +21,6 @@ from cassandra_ros.blocks.codec import (
     pack_block,
     unpack_block,
 )
-from cassandra_ros.errors import CorruptMessage
 
 # What an integer does not give back: -0.0, NaNs of any bits, infinities, what is too large.
 ODD = [0x80000000, 0x7FC00000, 0x7F800001, 0xFFFFFFFF, 0x7F800000, 0xFF800000, 0x4F000000]

@@ -27,7 +27,7 @@ from threads import together
 from cassandra_ros import Stamp
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import CHUNK_BYTES
 
 
 def packed(store, **options):

@@ -18,7 +18,7 @@ from browser import patrol
 from browser.looking import HUSKY, HUSKY_TOPICS, Viewer, unable
 from nodes.children import PROGRAMS, Child
 
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.viewing.studio import studio_folder, studio_installed
 
 

@@ -11,7 +11,7 @@ from browser.studio import Studio, await_true, packed
 from std_msgs.msg import String
 from suites import SUITE
 
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.importer import import_bag
 
 pytestmark = pytest.mark.usefixtures("studio")
 

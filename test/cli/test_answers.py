@@ -15,12 +15,12 @@ import pytest
 from bag.truth import string_connection, string_wire
 from std_msgs.msg import Int64
 
-from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.cli.json_answer import plain
 from cassandra_ros.cli.terminal_text import sparkline
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import InvalidOption, TopicNotFound
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.store.tables.registry import LossKind
 
 HUSKY = Path(__file__).resolve().parents[2] / "examples/data/husky_gps_data.bag"
 

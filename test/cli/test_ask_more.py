@@ -14,8 +14,8 @@ import pyarrow.parquet
 from query.kinds import serialized
 from sensor_msgs.msg import LaserScan
 
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.messages.formats.table import FORMATS
 
 SECOND = 10**9
 RANGES = ([1.0, 0.125, 3.0], [0.5, 0.5], [], [8.0, 0.25], [0.125, 9.0, 2.0, 2.0])

@@ -14,9 +14,9 @@ import pytest
 import yaml
 from bag.truth import read_with_rosbag, string_connection, string_wire
 
-from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
-from cassandra_ros.tables.directory import BucketTotals
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.store.tables.directory import BucketTotals
 
 ROOT = Path(__file__).resolve().parents[2]
 

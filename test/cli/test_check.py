@@ -11,10 +11,10 @@ from std_msgs.msg import Float64, Int64, String, UInt8MultiArray
 from topics.test_run_states import T0, add, age, begin
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.store.orphans import old_us, orphans, remove_orphans
-from cassandra_ros.tables.directory import BucketRow, BucketTotals
-from cassandra_ros.tables.row_table import CHUNK_BYTES
-from cassandra_ros.upkeep.store_check import _agrees
+from cassandra_ros.store.rows.orphans import old_us, orphans, remove_orphans
+from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
+from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.topics.upkeep.store_check import _agrees
 
 
 @pytest.fixture
@@ -152,7 +152,7 @@ def test_check(store, call, cql, connect):
 
 def test_what_is_being_written_is_no_damage(rosCas, call, cql, monkeypatch):
     # Its buckets stay open, however long the check takes: a writer closes idle ones by itself.
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
     with begin(rosCas, 7, "live", count=3) as writer:
         status, out, err = call("check")
         assert (status, err) == (0, "") and "the counts of 2 buckets could not be compared" in out
@@ -190,7 +190,7 @@ def test_what_is_removed_meanwhile_is_no_damage(rosCas, connect):
 
 @pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_a_conversion_leaves_noted_is_no_damage(store, call, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.tables.replacement.SETTLE_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.store.tables.replacement.SETTLE_SEC", 0.05)
     for target in ("packed", "yaml", "packed"):
         store.convertTopic("/n", target)
         assert damages(call) == set()

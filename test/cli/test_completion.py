@@ -12,8 +12,8 @@ import pytest
 from bag.truth import string_connection, string_wire
 from conftest import WORKSPACE
 
-from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
+from cassandra_ros.files.bag.bag_writer import BagWriter
 
 # Bash and zsh call the function of a command with what was typed in these variables.
 TAB = 'COMP_LINE={0} COMP_POINT=${{#COMP_LINE}}; {1}; printf "%s|" "${{COMPREPLY[@]}}"; echo'

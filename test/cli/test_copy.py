@@ -11,11 +11,11 @@ from bag.truth import string_connection, string_wire
 from copying.test_replicator import directory, facts, rows_of
 from std_msgs.msg import Int64, String
 
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.mcap_writer import McapWriter
-from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.tables.context_blob import NodeGraph, RunContext
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.mcap_writer import McapWriter
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 
 T0 = 1_500_000_000 * 10**9
 

@@ -12,10 +12,10 @@ from cli.test_upkeep import Terminal
 from std_msgs.msg import Int64
 from topics.test_run_states import T0, add, begin
 
-from cassandra_ros.connection.cql_names import quote_text
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.connection.cql_names import quote_text
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 
 
 @pytest.fixture

@@ -217,7 +217,7 @@ def test_what_is_no_event_is_refused(store, statement, values, reason):
 
 
 def test_an_export_begins_each_time_range_with_what_was_latched(store, tmp_path):
-    from cassandra_ros.bag.exporter import export_bag
+    from cassandra_ros.files.bag.exporter import export_bag
 
     report = export_bag(store, tmp_path / "a.bag", event=("bump", 2, 1))
     assert report.latched == {"/map": 2}

@@ -8,7 +8,7 @@ import json
 
 import pytest
 
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

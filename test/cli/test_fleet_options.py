@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from proxy import Proxy
 from std_msgs.msg import String
 
-from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.messages.classes import serialize
+from cassandra_ros.stores.copying.replicator import Replicator
 
 T0 = 1_500_000_000 * 10**9
 

@@ -20,7 +20,7 @@ from cassandra_ros.recording.option_values import read_label
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.topic_counts import TopicReport
-from cassandra_ros.tables.registry import LossKind, Run
+from cassandra_ros.store.tables.registry import LossKind, Run
 
 EVIL = "\x1b]0;owned\x07\nfake line\r\x9b31m\u202e"
 """A terminal's title, a line of its own, a colour by C1, text from right to left."""

@@ -15,10 +15,10 @@ from bag.truth import read_with_rosbag, string_connection, string_wire
 from keyspaces import new_name
 
 from cassandra_ros import Cassandra
-from cassandra_ros.bag import message_file
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.files.bag import message_file
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.local_server import disk
 from cassandra_ros.local_server.cluster_settings import (
     change_settings,

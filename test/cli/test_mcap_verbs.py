@@ -13,9 +13,9 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros1.decoder import DecoderFactory
 
-from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.identity import read_content
-from cassandra_ros.tables.sent_times import SendTimeStore
+from cassandra_ros.files.bag.file_formats import open_file
+from cassandra_ros.files.bag.identity import read_content
+from cassandra_ros.store.tables.sent_times import SendTimeStore
 
 TOPICS = ("/rosout", "/tf_static", "/turtle1/cmd_vel")
 

@@ -17,16 +17,16 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float64, String
 from suites import sparing
 
-from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
+from cassandra_ros.client.sql.lake import LOCK
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.spool.segment_writer import SegmentWriter
+from cassandra_ros.files.spool.spool_folder import SpoolFolder
+from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.recording.topic_settings import Settings, settings_as_json
-from cassandra_ros.spool.segment_writer import SegmentWriter
-from cassandra_ros.spool.spool_folder import SpoolFolder
-from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
-from cassandra_ros.sql.lake import LOCK
-from cassandra_ros.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 
 SEC = 10**9
 ODD = "/é"

@@ -14,8 +14,8 @@ import rosgraph
 import yaml
 from topics.test_run_states import begin
 
-from cassandra_ros.tables.context_blob import NodeGraph, RunContext
-from cassandra_ros.tables.registry import Loss, LossKind
+from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.store.tables.registry import Loss, LossKind
 
 PARAMS = {
     "rosdistro": "noetic\n",

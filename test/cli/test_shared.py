@@ -25,9 +25,9 @@ from cassandra_ros.cli.terminal_text import (
     shown,
 )
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
-from cassandra_ros.connection.outage import HURRY_SEC, Outage
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
 from cassandra_ros.printable import format_duration
+from cassandra_ros.store.connection.outage import HURRY_SEC, Outage
 
 
 @pytest.fixture

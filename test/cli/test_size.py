@@ -12,14 +12,14 @@ import pytest
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64
 
-from cassandra_ros.bag import size_estimate
-from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.size_estimate import TopicSample, estimate, sample_file
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.cli.verbs import size as verb
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.files.bag import size_estimate
+from cassandra_ros.files.bag.file_formats import open_file
+from cassandra_ros.files.bag.size_estimate import TopicSample, estimate, sample_file
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.formats.table import FORMATS
 
 ROOT = Path(__file__).resolve().parents[2]
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
@@ -115,7 +115,7 @@ def test_of_stored_topics(rosCas, call, monkeypatch):
     assert call("size", "--rates", "0")[0] == 2
     # What the nodes say is divided by messages and copies.
     monkeypatch.setattr(
-        "cassandra_ros.tables.disk_usage.disk_usage",
+        "cassandra_ros.store.tables.disk_usage.disk_usage",
         lambda cassandra, keyspace: {topic.tables[0].name: verb._MEASURED_BYTES},
     )
     status, out, _ = call("size")

@@ -11,12 +11,12 @@ import pytest
 from nodes.raw_publisher import header_of, message
 from std_msgs.msg import String
 
-from cassandra_ros.bag.mcap_reader import McapReader
+from cassandra_ros.files.bag.mcap_reader import McapReader
+from cassandra_ros.files.spool.segment_writer import SegmentWriter
+from cassandra_ros.files.spool.spool_folder import SpoolFolder
+from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording.topic_settings import Settings, settings_as_json
-from cassandra_ros.spool.segment_writer import SegmentWriter
-from cassandra_ros.spool.spool_folder import SpoolFolder
-from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
 
 T0 = 1_400_000_000 * 10**9
 

@@ -116,7 +116,9 @@ def test_what_is_wrong_is_told_in_a_line(thumbs, tmp_path, words, text):
 
 
 def test_messages_deleted_meanwhile_are_reported(thumbs, tmp_path, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.overview.time_sample.spaced_rows", lambda *asked: iter(()))
+    monkeypatch.setattr(
+        "cassandra_ros.topics.overview.time_sample.spaced_rows", lambda *asked: iter(())
+    )
     status, out, err = thumbs("/camera/image")
     assert (status, out) == (1, "") and "/camera/image had there was deleted meanwhile" in err
     assert not any(tmp_path.iterdir())

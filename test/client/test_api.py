@@ -235,7 +235,7 @@ def test_keyspace_names(cassandra, name):
 
 def test_buckets_of_the_keyspace_before_are_closed(rosCas, new_keyspace, monkeypatch):
     # No idle bucket is closed by itself meanwhile, however long it takes.
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
     rosCas.addTopic("/a").addData(String(), key=T0)
     before = rosCas.catalog.keyspace
     (table,) = before.tables.of_topic("/a")
@@ -390,7 +390,7 @@ class TestAnotherClient:
 
     @pytest.fixture
     def other(self, cassandra, keyspace, rosCas, monkeypatch):
-        monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.0)
+        monkeypatch.setattr("cassandra_ros.store.tables.schema.CACHE_SEC", 0.0)
         with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as store:
             yield store
 

@@ -10,12 +10,12 @@ from cassandra.protocol import ServerError
 from std_msgs.msg import String
 
 from cassandra_ros import Cassandra, RosCassandra
-from cassandra_ros.connection import cassandra as connection
-from cassandra_ros.connection.driver_errors import is_passing, translate
-from cassandra_ros.connection.requests import answered
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, WriteFailed
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.store.connection import cassandra as connection
+from cassandra_ros.store.connection.driver_errors import is_passing, translate
+from cassandra_ros.store.connection.requests import answered
 
 SEC = 10**9
 

@@ -9,14 +9,14 @@ from bag.test_import_process import write_bag
 from proxy import EXECUTE
 from std_msgs.msg import String
 
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.connection import cassandra as connection
-from cassandra_ros.connection import sessions as link
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.store.connection import cassandra as connection
+from cassandra_ros.store.connection import sessions as link
 
 pytestmark = pytest.mark.suite("all", "it kills or cuts something, and waits")
 

@@ -14,12 +14,12 @@ from cassandra import AuthenticationFailed, Unauthorized
 from cassandra.cluster import NoHostAvailable
 
 from cassandra_ros import Cassandra
-from cassandra_ros.connection import cassandra as connection
-from cassandra_ros.connection import login as login_module
-from cassandra_ros.connection import login_errors
-from cassandra_ros.connection.driver_errors import is_busy, is_passing, translate
-from cassandra_ros.connection.login import read_login
 from cassandra_ros.errors import AccessDenied, CertificateRefused, InvalidOption, LoginFailed
+from cassandra_ros.store.connection import cassandra as connection
+from cassandra_ros.store.connection import login as login_module
+from cassandra_ros.store.connection import login_errors
+from cassandra_ros.store.connection.driver_errors import is_busy, is_passing, translate
+from cassandra_ros.store.connection.login import read_login
 
 PLAIN = "[auth_provider]\nmodule = cassandra.auth\nclassname = PlainTextAuthProvider\n"
 

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 from cassandra import OperationTimedOut
 
-from cassandra_ros.connection import outage as outage_module
-from cassandra_ros.connection.outage import GRACE_SEC, REPEAT_SEC, Outage
+from cassandra_ros.store.connection import outage as outage_module
+from cassandra_ros.store.connection.outage import GRACE_SEC, REPEAT_SEC, Outage
 
 
 @pytest.fixture

@@ -14,10 +14,10 @@ import pytest
 from cassandra import OperationTimedOut
 from cassandra.connection import ConnectionBusy
 
-from cassandra_ros.connection import requests, sessions
-from cassandra_ros.connection.requests import Flight, Patience, retried
-from cassandra_ros.connection.sessions import Link, Links
 from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.store.connection import requests, sessions
+from cassandra_ros.store.connection.requests import Flight, Patience, retried
+from cassandra_ros.store.connection.sessions import Link, Links
 
 DOUBLED_SEC = [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0, 5.0, 5.0]
 """Pauses between the first attempts of a request."""

@@ -10,9 +10,9 @@ from std_msgs.msg import String
 from suites import FEW_FORMATS, sparing
 from upkeep.test_convert import fill
 
-from cassandra_ros.copying.copy_status import copy_status
-from cassandra_ros.copying.replicator import Replicator
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.stores.copying.copy_status import copy_status
+from cassandra_ros.stores.copying.replicator import Replicator
 
 
 @pytest.mark.parametrize("there", sparing(FORMATS, kept=FEW_FORMATS))

@@ -10,9 +10,9 @@ from nodes.children import await_true
 from std_msgs.msg import Int64
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.copying.follower import AWAY, FOLLOWING, PAUSED, Follower
-from cassandra_ros.copying.replicator import Replicator
-from cassandra_ros.copying.rules import read_rules
+from cassandra_ros.stores.copying.follower import AWAY, FOLLOWING, PAUSED, Follower
+from cassandra_ros.stores.copying.replicator import Replicator
+from cassandra_ros.stores.copying.rules import read_rules
 
 
 @pytest.fixture

@@ -8,17 +8,17 @@ import pytest
 from copying.test_replicator import SEC, T0, home, messages  # noqa: F401
 from std_msgs.msg import Int64, String
 
-from cassandra_ros.copying import quota
-from cassandra_ros.copying.copy_status import copy_status
-from cassandra_ros.copying.quota import keep_under
-from cassandra_ros.copying.replicator import Replicator
-from cassandra_ros.copying.rules import CopyRule, CopyRules
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
+from cassandra_ros.stores.copying import quota
+from cassandra_ros.stores.copying.copy_status import copy_status
+from cassandra_ros.stores.copying.quota import keep_under
+from cassandra_ros.stores.copying.replicator import Replicator
+from cassandra_ros.stores.copying.rules import CopyRule, CopyRules
 
 
 def store(store, topic, first, fmt="ros", writer_id=1):

@@ -15,19 +15,19 @@ from std_msgs.msg import Int64, String
 from suites import FEW_FORMATS, sparing
 from upkeep.test_convert import fill, joint_state, seen
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.copying.copy_status import copy_status
-from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import InvalidOption, StoreUnavailable, UnsupportedSchema
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.tables.context_blob import NodeGraph, RunContext
-from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.registry import Loss, LossKind, Run
-from cassandra_ros.tables.side_tables import LATER_TABLES
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.tables.side_tables import LATER_TABLES
+from cassandra_ros.stores.copying.copy_status import copy_status
+from cassandra_ros.stores.copying.replicator import Replicator
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -139,8 +139,8 @@ def test_nothing_is_decoded(rosCas, home, monkeypatch, cql):
     for table in rosCas.catalog.tables(None):
         for name in ("encode_wire", "encode_together", "decode_together", "decode_wire", "decode"):
             monkeypatch.setattr(type(table.format), name, refuse)
-    monkeypatch.setattr("cassandra_ros.blocks.block_row.unpack_block", refuse)
-    monkeypatch.setattr("cassandra_ros.blocks.block_builder.pack_block", refuse)
+    monkeypatch.setattr("cassandra_ros.store.blocks.block_row.unpack_block", refuse)
+    monkeypatch.setattr("cassandra_ros.store.blocks.block_builder.pack_block", refuse)
     assert Replicator(rosCas, home).copy().messages == 1200
     monkeypatch.undo()
     assert rows_of(cql, home) == rows_of(cql, rosCas)
@@ -273,7 +273,9 @@ def test_two_copies_at_once_end_in_the_same_rows(rosCas, home, cql):
 
 
 def test_a_bucket_that_is_written_is_followed(rosCas, home, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.store.writer.IDLE_SEC", 1e9)  # a copy may take that long
+    monkeypatch.setattr(
+        "cassandra_ros.store.rows.writer.IDLE_SEC", 1e9
+    )  # a copy may take that long
     handle_of = live_connection(
         "/t", {"type": Int64._type, "md5sum": Int64._md5sum, "message_definition": Int64._full_text}
     )
@@ -296,7 +298,7 @@ def test_the_status_does_not_take_new_messages_for_those_that_were_deleted(
     rosCas, home, monkeypatch, fmt
 ):
     """A topic is truncated while it is written, and gets as many messages again."""
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.1)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 0.1)
 
     def status():
         (found,) = copy_status(rosCas.catalog)
@@ -349,8 +351,8 @@ def test_formats_are_converted_on_the_way(rosCas, home):
 
 @pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_topic_converted_on_either_side_stays_one(rosCas, home, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.tables.replacement.SETTLE_SEC", 0.05)
-    monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
+    monkeypatch.setattr("cassandra_ros.store.tables.replacement.SETTLE_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.store.tables.schema.CACHE_SEC", 0.03)
     fill(rosCas, "ros", 60)
     Replicator(rosCas, home).copy()
     home.convertTopic("/t", "packed")

@@ -10,16 +10,16 @@ from copying.test_replicator import SEC, T0, home, messages  # noqa: F401
 from std_msgs.msg import Int64
 from upkeep.test_convert import fill
 
-from cassandra_ros.copying.bandwidth import Bandwidth
-from cassandra_ros.copying.copy_status import copy_status
-from cassandra_ros.copying.replicator import Replicator
-from cassandra_ros.copying.rules import CopyRule, read_bandwidth, read_rules, read_rules_file
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.stores.copying.bandwidth import Bandwidth
+from cassandra_ros.stores.copying.copy_status import copy_status
+from cassandra_ros.stores.copying.replicator import Replicator
+from cassandra_ros.stores.copying.rules import CopyRule, read_bandwidth, read_rules, read_rules_file
 
 
 def states(store):

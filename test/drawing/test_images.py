@@ -16,8 +16,8 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image as Pillow
 from sensor_msgs.msg import CompressedImage, Image
 
-from cassandra_ros.drawing.images import jpeg_of, picture_of, scaled_depth
 from cassandra_ros.errors import CorruptMessage, TypeMismatch, UnknownEncoding
+from cassandra_ros.viewing.drawing.images import jpeg_of, picture_of, scaled_depth
 
 RANDOM = np.random.default_rng(1)
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cassandra_ros.arrays.envelope import Envelope, Grid
-from cassandra_ros.drawing.time_plot import curves_of, draw_plot, draw_xy, lines_of
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.overview.plot_columns import Column, OmittedColumn
-from cassandra_ros.overview.plot_series import Series
+from cassandra_ros.query.arrays.envelope import Envelope, Grid
 from cassandra_ros.query.tree.syntax import KeyOperand
+from cassandra_ros.topics.overview.plot_columns import Column, OmittedColumn
+from cassandra_ros.topics.overview.plot_series import Series
+from cassandra_ros.viewing.drawing.time_plot import curves_of, draw_plot, draw_xy, lines_of
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

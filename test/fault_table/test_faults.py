@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from cassandra_ros.blocks.codec import pack_block
+from cassandra_ros.store.blocks.codec import pack_block
 from faults import page
 from faults.account import Contents, account_of, gone_with_keyspace, text_of_wire, wires_of_block
 from faults.numbered import LOG_LINE, Published, count_published, read_log, text_of, topic_of

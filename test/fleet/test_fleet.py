@@ -20,8 +20,6 @@ from std_msgs.msg import String
 from suites import search
 
 from cassandra_ros import Fleet
-from cassandra_ros.bag.fleet_export import export_fleet
-from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import (
     ConnectionFailed,
     CorruptMessage,
@@ -35,14 +33,16 @@ from cassandra_ros.errors import (
     StoreUnavailable,
     TopicNotFound,
 )
-from cassandra_ros.fleet.fleet_answer import FleetAnswer
-from cassandra_ros.fleet.fleet_info import describe_topic
-from cassandra_ros.fleet.fleet_topic import find_topic
+from cassandra_ros.files.bag.fleet_export import export_fleet
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import EVERYBODY, Read
+from cassandra_ros.stores.copying.replicator import Replicator
+from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
+from cassandra_ros.stores.fleet.fleet_info import describe_topic
+from cassandra_ros.stores.fleet.fleet_topic import find_topic
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

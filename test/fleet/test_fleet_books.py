@@ -16,14 +16,14 @@ from sensor_msgs.msg import Image
 from suites import search, sparing
 
 from cassandra_ros import Fleet
-from cassandra_ros.copying.replicator import Replicator
-from cassandra_ros.copying.rules import CopyRule, CopyRules
-from cassandra_ros.copying.target_buckets import TargetBuckets
-from cassandra_ros.fleet.fleet_books import Spared
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables.directory import SLOT_BUCKETS
+from cassandra_ros.store.tables.directory import SLOT_BUCKETS
+from cassandra_ros.stores.copying.replicator import Replicator
+from cassandra_ros.stores.copying.rules import CopyRule, CopyRules
+from cassandra_ros.stores.copying.target_buckets import TargetBuckets
+from cassandra_ros.stores.fleet.fleet_books import Spared
 
 WRITERS = {"husky": 3, "jackal": 5}
 THINNED = CopyRules([CopyRule(where="linear.x > 3")])

@@ -31,9 +31,9 @@ from tf2_msgs.msg import TFMessage
 from viewers import running_viewer
 
 from cassandra_ros import Fleet
-from cassandra_ros.copying.replicator import Replicator
-from cassandra_ros.fleet.fleet_answer import FleetAnswer
-from cassandra_ros.tables.registry import Loss, LossKind
+from cassandra_ros.store.tables.registry import Loss, LossKind
+from cassandra_ros.stores.copying.replicator import Replicator
+from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
 from cassandra_ros.viewing.fleet_routes import FLEET_ROUTES
 from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.viewed_fleet import ViewedFleet

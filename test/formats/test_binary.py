@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.formats.binary import CassandraTopic_binary
+from cassandra_ros.messages.formats.binary import CassandraTopic_binary
 
 
 def test_without_a_definition_the_bytes_are_kept():

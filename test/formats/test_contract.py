@@ -19,10 +19,8 @@ from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, installedTypes
 from suites import FEW_FORMATS, sparing
 
-import cassandra_ros.formats
+import cassandra_ros.messages.formats
 from cassandra_ros.errors import CorruptMessage, DefinitionError, UnknownFormat
-from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS, format_class
 from cassandra_ros.messages.classes import (
     deserialize,
     installed_definition,
@@ -30,6 +28,8 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
+from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, FORMATS, format_class
 
 SEEDS = st.integers(0, 2**32)
 every_format = pytest.mark.parametrize("name", FORMATS)
@@ -77,7 +77,9 @@ def checkColumn(column, cql_type):
 
 def test_every_format_of_the_folder_is_in_the_table():
     classes = set()
-    for module in pkgutil.iter_modules(cassandra_ros.formats.__path__, "cassandra_ros.formats."):
+    for module in pkgutil.iter_modules(
+        cassandra_ros.messages.formats.__path__, "cassandra_ros.messages.formats."
+    ):
         for _, found in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
             if issubclass(found, CassandraTopic_) and not inspect.isabstract(found):
                 classes.add(found)
@@ -96,7 +98,7 @@ def test_a_format_is_one_class_in_a_file_of_its_name(name):
     found = format_class(name)
     assert found.NAME == name
     assert found.__name__ == f"CassandraTopic_{name}"
-    assert found.__module__ == f"cassandra_ros.formats.{name}"
+    assert found.__module__ == f"cassandra_ros.messages.formats.{name}"
     assert found.__doc__
 
 

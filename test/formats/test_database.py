@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
 from suites import FEW_FORMATS, SUITE, examples, sparing
 
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.table import FORMATS
 
 SEEDS = st.integers(0, 2**32)
 

@@ -15,9 +15,9 @@ from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTy
 from suites import search
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.messages.classes import installed_definition, message_class
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.table import FORMATS, format_class
 from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS, compile_object_check
 
 SEEDS = st.integers(0, 2**32)

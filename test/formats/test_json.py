@@ -13,9 +13,9 @@ from formats.storages import check_kept_beside, check_refused, storage_of
 from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.formats.json import CassandraTopic_json
 from cassandra_ros.messages.classes import installed_definition, message_class, serialize
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.json import CassandraTopic_json
 
 json_format = partial(storage_of, CassandraTopic_json)
 

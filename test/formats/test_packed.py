@@ -13,7 +13,7 @@ from std_msgs.msg import Float64, Header
 from cassandra_ros.errors import InvalidOption, InvalidQuery
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata, from_comment
-from cassandra_ros.tables.directory import UNKNOWN_SPAN_NS
+from cassandra_ros.store.tables.directory import UNKNOWN_SPAN_NS
 
 SEC = 10**9
 

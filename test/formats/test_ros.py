@@ -7,9 +7,9 @@ import struct
 import pytest
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.formats.ros import INLINE_BYTES, CassandraTopic_ros
 from cassandra_ros.messages.classes import installed_definition, message_class, serialize
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.ros import INLINE_BYTES, CassandraTopic_ros
 
 
 def rosFormat(definition):

@@ -6,13 +6,13 @@ import pytest
 from messages.random_wire import WireMaker, installedTypes
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.formats.string import CassandraTopic_string
 from cassandra_ros.messages.classes import (
     deserialize,
     installed_definition,
     message_class,
     serialize,
 )
+from cassandra_ros.messages.formats.string import CassandraTopic_string
 
 
 def stringFormat(msg_type):

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.formats.table import format_class
 from cassandra_ros.messages.classes import installed_definition, message_class
+from cassandra_ros.messages.formats.table import format_class
 
 
 def makeFormat(name, msg_type):

@@ -14,10 +14,10 @@ from std_msgs.msg import Int64, String, UInt8MultiArray
 from suites import FEW_FORMATS, sparing
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.formats.table import FORMATS
 
 T0 = 1_500_000_000 * 10**9
 _READ = re.compile(r"Read (\d+) live rows and (\d+) tombstone cells")

@@ -17,9 +17,9 @@ from messages.random_wire import SEPARATOR, WireMaker, installedTypes
 from suites import search
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.formats.yaml import CassandraTopic_yaml
 from cassandra_ros.messages.classes import message_class, serialize
 from cassandra_ros.messages.definition import attribute_name, parse_definition
+from cassandra_ros.messages.formats.yaml import CassandraTopic_yaml
 
 yaml_format = partial(storage_of, CassandraTopic_yaml)
 

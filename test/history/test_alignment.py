@@ -11,7 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from suites import search
 
-from cassandra_ros.history.alignment import Mark, digest_of, first_live
+from cassandra_ros.playing.history.alignment import Mark, digest_of, first_live
 
 MS = 1_000_000
 CONSTANT, SWITCH, NUMBERED = 1, 2, 10**6

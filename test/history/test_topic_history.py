@@ -15,13 +15,13 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import Header, String, UInt32
 
 from cassandra_ros.errors import ClockNotSet, RunNotFound, StoreUnavailable
-from cassandra_ros.history import live_queue, topic_history
-from cassandra_ros.history.live_queue import LiveQueue
-from cassandra_ros.history.stored_past import StoredPast
-from cassandra_ros.history.topic_history import History
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.playing.history import live_queue, topic_history
+from cassandra_ros.playing.history.live_queue import LiveQueue
+from cassandra_ros.playing.history.stored_past import StoredPast
+from cassandra_ros.playing.history.topic_history import History
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 
 TOPIC = "/joined"
 MS = 1_000_000
@@ -48,8 +48,8 @@ def patience(monkeypatch):
     for name, seconds in times.items():
         monkeypatch.setattr(topic_history, f"{name}_SEC", seconds)
     # Also where the machine stands still for a while: who writes is seen to write.
-    monkeypatch.setattr("cassandra_ros.store.writer.IDLE_SEC", 600.0)
-    monkeypatch.setattr("cassandra_ros.history.stored_past.FRESH_SEC", 600.0)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.IDLE_SEC", 600.0)
+    monkeypatch.setattr("cassandra_ros.playing.history.stored_past.FRESH_SEC", 600.0)
 
 
 class Stage:

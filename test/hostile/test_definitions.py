@@ -13,7 +13,6 @@ from hostile.mutate import changed_bytes, changed_json, changed_text
 from messages.random_wire import DefinitionMaker, installedTypes
 
 from cassandra_ros.errors import CassandraRosError
-from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.messages.classes import deserialize, installed_definition, message_class
 from cassandra_ros.messages.connection_header import (
     Connection,
@@ -22,9 +21,10 @@ from cassandra_ros.messages.connection_header import (
     live_connection,
 )
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.table import FORMATS, format_class
 from cassandra_ros.metadata import MetaView, TopicMetadata, from_comment
 from cassandra_ros.recording.topic_settings import read_settings
-from cassandra_ros.tables.schema import Listing
+from cassandra_ros.store.tables.schema import Listing
 from cassandra_ros.topics.message_writer import usable_definition
 from cassandra_ros.topics.topic_table import definition_in
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from hostile.mutate import changed_bytes
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.mcap_format import MAGIC
-from cassandra_ros.bag.mcap_writer import McapWriter
-from cassandra_ros.bag.message_file import read_in_order
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.file_formats import open_file
+from cassandra_ros.files.bag.identity import read_content
+from cassandra_ros.files.bag.mcap_format import MAGIC
+from cassandra_ros.files.bag.mcap_writer import McapWriter
+from cassandra_ros.files.bag.message_file import read_in_order
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "examples/data"

@@ -19,9 +19,9 @@ from sensor_msgs.msg import Imu, LaserScan
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import Connection, live_connection
+from cassandra_ros.messages.formats.table import FORMATS
 
 KINDS = (String, Imu, LaserScan, TFMessage, Odometry)
 DEFINITIONS = {kind: installed_definition(kind._type) for kind in KINDS}

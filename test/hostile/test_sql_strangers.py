@@ -22,8 +22,8 @@ from nodes.children import Child, await_true, start_client, start_node
 from std_msgs.msg import Float64
 from suites import CAMPAIGN
 
+from cassandra_ros.client.sql.statement_processes import AT_ONCE, Statement, StatementProcesses
 from cassandra_ros.read import EVERYBODY
-from cassandra_ros.sql.statement_processes import AT_ONCE, Statement, StatementProcesses
 from cassandra_ros.viewing.viewer_settings import DEFAULT_THREADS
 
 pytest.importorskip("duckdb", reason="SQL needs Python 3.11")

@@ -11,8 +11,8 @@ from geometry_msgs.msg import Twist
 from hostile.mutate import LONGS, changed_bytes, changed_json, changed_text
 from mapping.room import T0, Drive
 
-from cassandra_ros.connection.cql_names import quote_name, quote_text
-from cassandra_ros.overview.timeline.lanes import Timeline, View
+from cassandra_ros.store.connection.cql_names import quote_name, quote_text
+from cassandra_ros.topics.overview.timeline.lanes import Timeline, View
 
 SIDE_TABLES = ("cr_bucket", "cr_node", "cr_connection", "cr_definition", "cr_run")
 WORDS = ["", "a", "/tf", "/cmd_vel", "open", "closed", "é", "x" * 70_000, "\x1b[31m", "_ix0"]

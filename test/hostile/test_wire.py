@@ -14,12 +14,12 @@ import zstandard
 from hostile.mutate import LONGS, changed_bytes
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
 
-from cassandra_ros.blocks.block_row import HEADER, Block, read_block
-from cassandra_ros.blocks.codec import VERSION, pack_block
-from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.messages.classes import installed_definition, message_class
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.tables.checksum import crc32
+from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.store.blocks.block_row import HEADER, Block, read_block
+from cassandra_ros.store.blocks.codec import VERSION, pack_block
+from cassandra_ros.store.tables.checksum import crc32
 
 TYPES = installedTypes()
 BOMB_BYTES = 1 << 30

@@ -19,10 +19,10 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.comparison import verify_bag
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.files.bag.comparison import verify_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import LocalCluster, free_port
+from cassandra_ros.messages.formats.table import FORMATS
 
 GONE = "has not answered since"
 COUNT = 20_000

@@ -20,7 +20,7 @@ from suites import CAMPAIGN
 
 from cassandra_ros.cli.verbs import VERBS
 from cassandra_ros.nodes import query_node, recorder_services
-from cassandra_ros.tables.role_grants import ROLES
+from cassandra_ros.store.tables.role_grants import ROLES
 from cassandra_ros.viewing.routes import ROUTES
 
 pytestmark = pytest.mark.suite("all", "it starts a Cassandra")

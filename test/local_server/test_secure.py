@@ -24,8 +24,6 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.cli import cassandra_bag, local_cassandra
 from cassandra_ros.errors import (
     AccessDenied,
@@ -34,6 +32,8 @@ from cassandra_ros.errors import (
     ServerError,
     TlsMismatch,
 )
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import LocalCluster, free_port, server_security
 from cassandra_ros.local_server.cql import CqlRefused, CqlSession
 from cassandra_ros.local_server.server_security import Security, write_private

@@ -11,7 +11,7 @@ import threading
 from cassandra_ros import RosCassandra
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.local_server.cql import CqlRefused, CqlSession
-from cassandra_ros.tables.role_grants import ROLES, role_name
+from cassandra_ros.store.tables.role_grants import ROLES, role_name
 
 KEYSPACE = "fleet"
 

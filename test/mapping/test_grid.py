@@ -17,13 +17,13 @@ from PIL import Image
 from sensor_msgs.msg import LaserEcho, LaserScan, MultiEchoLaserScan, PointCloud2, PointField
 from suites import search
 
-from cassandra_ros.drawing.map_picture import map_png
 from cassandra_ros.errors import CorruptMessage, InvalidName, InvalidOption
-from cassandra_ros.mapping.beams import beams_of_cloud, beams_of_echoes, beams_of_scan
-from cassandra_ros.mapping.grid import LogOddsGrid
-from cassandra_ros.mapping.map_files import save_map
-from cassandra_ros.mapping.occupancy import OccupancyMap
 from cassandra_ros.messages.classes import serialize
+from cassandra_ros.viewing.drawing.map_picture import map_png
+from cassandra_ros.viewing.mapping.beams import beams_of_cloud, beams_of_echoes, beams_of_scan
+from cassandra_ros.viewing.mapping.grid import LogOddsGrid
+from cassandra_ros.viewing.mapping.map_files import save_map
+from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
 
 INF, NAN = math.inf, math.nan
 SQUARE = 1 / 4

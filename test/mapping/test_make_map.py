@@ -19,7 +19,6 @@ from mapping.test_grid import read_as_map_server
 from PIL import Image
 
 from cassandra_ros import MapOptions, PoseChoice, Stamp, makeMap
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.errors import (
     InvalidOption,
@@ -29,9 +28,10 @@ from cassandra_ros.errors import (
     TransformException,
     TypeMismatch,
 )
-from cassandra_ros.mapping.beams import CLOUD_HEIGHTS, CLOUD_RANGE
-from cassandra_ros.mapping.occupancy import OccupancyMap
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.places.rigid import Rigid
+from cassandra_ros.viewing.mapping.beams import CLOUD_HEIGHTS, CLOUD_RANGE
+from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
 
 SEC = 10**9
 YEAR = 365 * 86400 * SEC

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.formats.table import FALLBACK_FORMAT, FORMATS
 from cassandra_ros.messages.classes import deserialize, message_class, serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition, render_spec
+from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, FORMATS
 from cassandra_ros.topics.message_writer import usable_definition
 
 EVIL = "open('ran','w')"

@@ -14,9 +14,9 @@ import roslib.message
 import rospy
 
 from cassandra_ros import HistorySubscriber
-from cassandra_ros.history import stored_past, topic_history
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.nodes.ros_node import forward_logging
+from cassandra_ros.playing.history import stored_past, topic_history
 
 # What is recorded comes into the store: a machine that stands still for a while lets it be late.
 topic_history.PATIENCE_SEC = topic_history.DOUBT_SEC = 150.0

@@ -13,9 +13,9 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import Int32
 from viewers import running_viewer
 
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.nodes.mark_answer import read_values
 
 SEC = 10**9

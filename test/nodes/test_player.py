@@ -18,10 +18,10 @@ from nodes.raw_publisher import message
 from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import Int32, String
 
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.copying.replicator import Replicator
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.stores.copying.replicator import Replicator
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC

@@ -32,7 +32,7 @@ from suites import CAMPAIGN
 
 from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.nodes.publication import MessageKind, Publication
-from cassandra_ros.tables.registry import Loss, LossKind
+from cassandra_ros.store.tables.registry import Loss, LossKind
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC

@@ -22,7 +22,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC + 123_456_789

@@ -22,11 +22,11 @@ from std_msgs.msg import Int32, String
 from suites import sparing
 
 from cassandra_ros.cli import recorder as recorder_program
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import message_class
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.store.tables.registry import LossKind
 
 
 def text(n):

@@ -21,7 +21,7 @@ from std_msgs.msg import Int32, String
 
 from cassandra_ros.cli.recorder import make_parser, read_options, words_of
 from cassandra_ros.nodes.recorder_services import OTHER_SERVICES, TOPIC_SERVICES
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 
 def text(n):

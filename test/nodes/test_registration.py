@@ -27,7 +27,7 @@ from suites import sparing
 
 from cassandra_ros.local_server import free_port
 from cassandra_ros.nodes.ros_node import own_name
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 LISTENER = Path(__file__).with_name("history_listener.py")
 

@@ -21,7 +21,7 @@ from proxy import Proxy
 from std_msgs.msg import UInt64
 from suites import SUITE
 
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 pytestmark = pytest.mark.suite("all", "it kills or cuts something, and waits")
 

@@ -10,8 +10,8 @@ from std_msgs.msg import UInt32
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.overview.content_version import content_version
 from cassandra_ros.read import Read, TimeRange
+from cassandra_ros.topics.overview.content_version import content_version
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

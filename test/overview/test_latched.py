@@ -10,8 +10,8 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.overview.latched_messages import latched_before
-from cassandra_ros.overview.latest_messages import Latest
+from cassandra_ros.topics.overview.latched_messages import latched_before
+from cassandra_ros.topics.overview.latest_messages import Latest
 
 T0 = 1_500_000_000 * SECOND_NS
 

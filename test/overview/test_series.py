@@ -14,13 +14,13 @@ from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float64, Header, Int64, String
 from suites import search
 
-from cassandra_ros.arrays.envelope import Grid
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.overview import bucket_envelope
-from cassandra_ros.overview.bucket_envelope import PieceReader
-from cassandra_ros.overview.envelopes import EnvelopeCache, spread
-from cassandra_ros.overview.plot_series import Window
+from cassandra_ros.query.arrays.envelope import Grid
+from cassandra_ros.topics.overview import bucket_envelope
+from cassandra_ros.topics.overview.bucket_envelope import PieceReader
+from cassandra_ros.topics.overview.envelopes import EnvelopeCache, spread
+from cassandra_ros.topics.overview.plot_series import Window
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

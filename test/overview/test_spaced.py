@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import Int64
 
 from cassandra_ros.errors import MessageNotFound
-from cassandra_ros.overview.time_sample import MessageChoice, nearest_rows, spaced_rows
+from cassandra_ros.topics.overview.time_sample import MessageChoice, nearest_rows, spaced_rows
 
 TIMES = st.lists(st.integers(0, 60), max_size=12).map(sorted)
 T = 10**18

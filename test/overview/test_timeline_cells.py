@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.overview.timeline.time_cells import (
+from cassandra_ros.topics.overview.timeline.time_cells import (
     MAX_CELLS,
     Cells,
     Scale,

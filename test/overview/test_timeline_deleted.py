@@ -11,8 +11,8 @@ from suites import sparing
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.overview.timeline.lanes import Timeline, View
 from cassandra_ros.read import LAST_NS, Whose
+from cassandra_ros.topics.overview.timeline.lanes import Timeline, View
 
 T0 = 1_500_000_000 * SECOND_NS
 COUNT = 60
@@ -97,8 +97,8 @@ def test_they_agree_for_a_window_for_a_run_and_for_what_was_deleted_of_one(store
 
 
 def test_what_a_sample_stands_for_was_deleted(store, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.overview.timeline.directory_reader.MAX_BUCKETS", 10)
-    monkeypatch.setattr("cassandra_ros.overview.timeline.directory_reader.LEAST_BUCKETS", 10)
+    monkeypatch.setattr("cassandra_ros.topics.overview.timeline.directory_reader.MAX_BUCKETS", 10)
+    monkeypatch.setattr("cassandra_ros.topics.overview.timeline.directory_reader.LEAST_BUCKETS", 10)
     store.upkeep.delete(None, T0, T0 + 100 * SECOND_NS)
     assert in_picture(Timeline(store.catalog).picture(View(T0, T0 + 30 * SECOND_NS))) == in_table(
         store

@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 from pages.walk import Walk, pieces
 
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.importer import import_bag
 
 TOPICS = ["/encoder", "/fix", "/imu/data", "/tf"]
 PAGES = ("query", "transforms", "python")

@@ -22,13 +22,13 @@ from std_msgs.msg import Int32
 from suites import search
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption, InvalidQuery, RunNotFound
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording import place_keeper
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.tables.registry import LossKind, Run
+from cassandra_ros.store.tables.registry import LossKind, Run
 
 SEC = 10**9
 T0 = 1_700_000_000 * SEC

@@ -17,8 +17,8 @@ from suites import search
 from transforms.test_transforms import SEC, T0, Whole, numbers, transform
 
 from cassandra_ros import Stamp
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException, TypeMismatch
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.places import poses as poses_module
 from cassandra_ros.places.frame_poses import FrameChain
 from cassandra_ros.places.pose_samples import Samples

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from bag.truth import string_connection, string_wire
 
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

@@ -22,10 +22,10 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames
 from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.played_store import PlayedKeyspace
+from cassandra_ros.topics.overview.latched_messages import latched_before
 
 
 def before(store, *args, **options):
@@ -233,7 +233,9 @@ def test_looking_back_ends_with_the_last_publisher(rosCas, monkeypatch):
 
 
 def test_a_run_that_was_killed_before_the_window_gives_nothing(rosCas, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)  # nor closes what is idle
+    monkeypatch.setattr(
+        "cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9
+    )  # nor closes what is idle
     with Robot(rosCas, 1, bucket_ns=600 * SEC) as killed:
         killed.send("/map", 1, "old", latched=True)
         killed.flush()  # its bucket, which reaches into the window, stays open
@@ -244,7 +246,7 @@ def test_a_run_that_was_killed_before_the_window_gives_nothing(rosCas, monkeypat
             "old",
             "new",
         ]  # it may go on
-        monkeypatch.setattr("cassandra_ros.overview.latched_messages.STALE_SEC", -60)
+        monkeypatch.setattr("cassandra_ros.topics.overview.latched_messages.STALE_SEC", -60)
         assert texts(before(rosCas, T0 + 35 * SEC)) == ["new"]
 
 

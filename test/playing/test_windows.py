@@ -25,7 +25,7 @@ from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.read import TimeRange
-from cassandra_ros.tables.registry import Loss, LossKind
+from cassandra_ros.store.tables.registry import Loss, LossKind
 from cassandra_ros.topics.hit_windows import merge_windows
 
 TIMES = st.integers(0, 60)

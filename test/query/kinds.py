@@ -28,7 +28,7 @@ from query.brute_force import RUN_NAMES, Message, Types
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
 
 SECOND = 10**9
 T0 = 1_400_000_040 * SECOND

@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import writer
+from cassandra_ros.store.rows import writer
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.query.plan.pushdown import PLANS
-from cassandra_ros.store import reader
+from cassandra_ros.store.rows import reader
 
 SIZES = (1, 7, 5000)
 PAGED = ("auto", "index")

@@ -25,7 +25,6 @@ from query.test_every_plan import EDGES, TYPES
 from query.test_terms import decode, rank
 from suites import FURTHER, random_statements, sparing
 
-from cassandra_ros.blocks.codec import pack_block, unpack_block
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire import message_stacks
 from cassandra_ros.messages.wire.zones import zone_map
@@ -34,6 +33,7 @@ from cassandra_ros.query.plan.pushdown import Pushdown
 from cassandra_ros.query.rows.projection import Projections
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.parse import parse_select
+from cassandra_ros.store.blocks.codec import pack_block, unpack_block
 
 SIGNS = {"=": operator.eq, "<=": operator.le, ">=": operator.ge}
 KINDS_HERE = ("every", "tf", "diagnostics", "scan", "joints", "log", "mixed", "uint64", "string")

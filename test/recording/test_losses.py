@@ -12,7 +12,7 @@ from cassandra_ros.cli.recorder_report import closing_table
 from cassandra_ros.cli.terminal_text import format_time
 from cassandra_ros.recording.losses import LossLog, LossTotal
 from cassandra_ros.recording.topic_counts import Counts, merge_reports
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 SEC = 10**9
 FULL, TABLE = LossKind.BUFFER_FULL, LossKind.NO_TABLE

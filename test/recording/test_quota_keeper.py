@@ -14,11 +14,11 @@ from copying.test_quota import store, times
 from copying.test_replicator import home, messages  # noqa: F401
 from nodes.children import await_true
 
-from cassandra_ros.copying.quota import Quota
-from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.recording.quota_keeper import QuotaKeeper
 from cassandra_ros.recording.store_future import store_future
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
+from cassandra_ros.stores.copying.quota import Quota
+from cassandra_ros.stores.copying.replicator import Replicator
 
 
 @contextlib.contextmanager

@@ -38,8 +38,8 @@ from cassandra_ros.recording.message_buffer import (
 )
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.topic_counts import Counts
-from cassandra_ros.tables.context_blob import NodeGraph, RunContext
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.store.tables.registry import LossKind
 
 T0 = 1_400_000_000 * 10**9
 

@@ -23,7 +23,7 @@ from cassandra_ros.recording.option_values import SnapshotBound
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.snapshot import ITEM_BYTES, MessageRing, Snapshots
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 SEC = 10**9
 T0 = 1_400_000_000 * SEC

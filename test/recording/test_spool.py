@@ -22,14 +22,14 @@ from suites import sparing
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import SpoolError, WriteFailed
+from cassandra_ros.files.spool.segment_writer import SegmentWriter
+from cassandra_ros.files.spool.spool_folder import RunFolder, SpoolFolder
 from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.left_runs import lines_of
 from cassandra_ros.recording.message_buffer import LONGEST_BUCKET_NS
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.spool_drain import Drain, read_left
-from cassandra_ros.spool.segment_writer import SegmentWriter
-from cassandra_ros.spool.spool_folder import RunFolder, SpoolFolder
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 pytestmark = pytest.mark.suite("all", "it kills or cuts something, and waits")
 

@@ -17,6 +17,12 @@ from messages.test_message_stacks import manyWires
 from suites import search
 
 from cassandra_ros import CassandraRosError
+from cassandra_ros.client.spark import topic as spark_topic
+from cassandra_ros.client.spark import topic_frame
+from cassandra_ros.client.spark.part_plan import BucketRange, pack, plan_parts
+from cassandra_ros.client.spark.part_reader import PartReader, Selection
+from cassandra_ros.client.spark.spark_types import spark_batch, spark_schema
+from cassandra_ros.client.spark.store_login import StoreLogin
 from cassandra_ros.errors import (
     InvalidKey,
     InvalidOption,
@@ -28,12 +34,6 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.read import Whose
-from cassandra_ros.spark import topic as spark_topic
-from cassandra_ros.spark import topic_frame
-from cassandra_ros.spark.part_plan import BucketRange, pack, plan_parts
-from cassandra_ros.spark.part_reader import PartReader, Selection
-from cassandra_ros.spark.spark_types import spark_batch, spark_schema
-from cassandra_ros.spark.store_login import StoreLogin
 
 T0 = 1_600_000_000 * SECOND_NS
 FORMATS = ("packed", "ros", "json")

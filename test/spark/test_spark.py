@@ -19,12 +19,12 @@ from pages.walk import pieces
 from sensor_msgs.msg import Imu
 from spark.test_parts import T0, TYPES, expected, store, typed
 
+from cassandra_ros.client.spark import topic
+from cassandra_ros.client.sql.lake import Lake
 from cassandra_ros.errors import InvalidName, InvalidQuery, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.spark import topic
-from cassandra_ros.sql.lake import Lake
 
 pytestmark = pytest.mark.suite("campaign", "only make campaign installs Spark")
 

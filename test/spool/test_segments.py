@@ -13,14 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from suites import search
 
-from cassandra_ros.bag.mcap_format import MAGIC
-from cassandra_ros.bag.mcap_reader import McapReader
 from cassandra_ros.errors import SpoolError
-from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.spool.segment_reader import SegmentReader
-from cassandra_ros.spool.segment_writer import SegmentWriter
-from cassandra_ros.spool.spool_folder import SpoolFolder
-from cassandra_ros.spool.spool_label import (
+from cassandra_ros.files.bag.mcap_format import MAGIC
+from cassandra_ros.files.bag.mcap_reader import McapReader
+from cassandra_ros.files.spool.segment_reader import SegmentReader
+from cassandra_ros.files.spool.segment_writer import SegmentWriter
+from cassandra_ros.files.spool.spool_folder import SpoolFolder
+from cassandra_ros.files.spool.spool_label import (
     LABEL,
     RunEnd,
     SpoolLabel,
@@ -28,6 +27,7 @@ from cassandra_ros.spool.spool_label import (
     from_metadata,
     is_whole,
 )
+from cassandra_ros.messages.connection_header import live_connection
 
 LABELLED = SpoolLabel(5, 5, "ros", "robot:9042", 7, node="husky", labels={"site": "lab"})
 ENDED = RunEnd(9, {"/t0": 1}, {"/t1": 2}, [("/t1", "buffer full", 1, 2, 2)])

@@ -17,13 +17,13 @@ from std_msgs.msg import Header, String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.cli import cassandra_bag
+from cassandra_ros.client.sql.lake import Lake
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.sql.lake import Lake
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
 
 duckdb = pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 

@@ -25,6 +25,9 @@ from std_msgs.msg import String, UInt64
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.client.sql import duck_database
+from cassandra_ros.client.sql.python_values import printable_value
+from cassandra_ros.client.sql.sql_result import SqlResult
 from cassandra_ros.errors import (
     AnswerTooLarge,
     InvalidOption,
@@ -39,9 +42,6 @@ from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp, to_ns
-from cassandra_ros.sql import duck_database
-from cassandra_ros.sql.python_values import printable_value
-from cassandra_ros.sql.sql_result import SqlResult
 from cassandra_ros.topics import event_finder
 
 pytest.importorskip("duckdb", reason="SQL needs Python 3.11")

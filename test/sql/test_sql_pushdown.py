@@ -17,14 +17,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from suites import examples, sparing
 
+from cassandra_ros.client.sql.python_values import python_rows
+from cassandra_ros.client.sql.sql_result import SqlResult
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import EVERYBODY
-from cassandra_ros.sql.python_values import python_rows
-from cassandra_ros.sql.sql_result import SqlResult
 
 duckdb = pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 

@@ -17,6 +17,9 @@ from conftest import ROOT
 from nodes.children import await_true
 from std_msgs.msg import Float64
 
+from cassandra_ros.client.sql.duck_database import DuckDatabase, SpillFolder
+from cassandra_ros.client.sql.statement_process import has_files
+from cassandra_ros.client.sql.statement_processes import Statement, StatementProcesses
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
@@ -25,9 +28,6 @@ from cassandra_ros.errors import (
     StoreUnavailable,
 )
 from cassandra_ros.read import EVERYBODY, Whose
-from cassandra_ros.sql.duck_database import DuckDatabase, SpillFolder
-from cassandra_ros.sql.statement_process import has_files
-from cassandra_ros.sql.statement_processes import Statement, StatementProcesses
 
 pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
@@ -208,7 +208,7 @@ PROGRAM = """
 import sys
 from cassandra_ros import RosCassandra
 from cassandra_ros.read import EVERYBODY
-from cassandra_ros.sql.statement_processes import Statement, StatementProcesses
+from cassandra_ros.client.sql.statement_processes import Statement, StatementProcesses
 with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as store:
     processes = StatementProcesses(store.cassandra)
     with processes.answer(Statement(store.keyspace, sys.argv[4], EVERYBODY), lambda: None) as got:
@@ -241,7 +241,9 @@ def test_what_a_killed_program_leaves_goes(store, cassandra, tmp_path):
         "os.utime(used, (time.time() - 3600,) * 2)\n"
         "subprocess.run([sys.executable, '-c', sys.argv[1]], check=True)\n"
     )
-    clean = "from cassandra_ros.sql.duck_database import SpillFolder\nSpillFolder().close()\n"
+    clean = (
+        "from cassandra_ros.client.sql.duck_database import SpillFolder\nSpillFolder().close()\n"
+    )
     subprocess.run([sys.executable, "-c", check, clean], env=env, check=True)
     assert list(tmp_path.glob("cassandra_ros_sql_*")) == [used]
 

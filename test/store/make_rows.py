@@ -21,10 +21,10 @@ from std_msgs.msg import Int32, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
+from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.metadata import SCHEMA_VERSION
 
 KEYSPACE = f"rows_v{SCHEMA_VERSION}"

@@ -9,7 +9,7 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.connection.protocol import WIDE_ROW_BYTES, BufferedConnection, RawPage
+from cassandra_ros.store.connection.protocol import WIDE_ROW_BYTES, BufferedConnection, RawPage
 
 
 class Connection(BufferedConnection):

@@ -8,7 +8,7 @@ import pytest
 
 from cassandra_ros.arguments import MAX_TTL_SEC, check_ttl
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.tables.directory import (
+from cassandra_ros.store.tables.directory import (
     BUCKET_LENGTHS,
     MAX_BUCKET_BYTES,
     MAX_BUCKET_ROWS,

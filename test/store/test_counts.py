@@ -11,9 +11,9 @@ from std_msgs.msg import String
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import row_counts as counting
-from cassandra_ros.store import writer
-from cassandra_ros.tables import directory
+from cassandra_ros.store.rows import row_counts as counting
+from cassandra_ros.store.rows import writer
+from cassandra_ros.store.tables import directory
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

@@ -15,8 +15,8 @@ from std_msgs.msg import String
 from store.make_rows import SIDE_TABLES, SIDE_TABLES_2, long
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import MAX_NS
+from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.metadata import SCHEMA_VERSION
 
 pytestmark = pytest.mark.suite("all", "rows of each earlier release")

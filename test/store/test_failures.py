@@ -26,14 +26,14 @@ from store.text_messages import (
 )
 from suites import sparing
 
-from cassandra_ros.connection import requests as in_flight
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.store import backfill, fetch, reader
-from cassandra_ros.store import row_counts as counting
-from cassandra_ros.store import writer as writing
-from cassandra_ros.tables.directory import slot_of
-from cassandra_ros.tables.registry import Run
-from cassandra_ros.tables.row_table import bind
+from cassandra_ros.store.connection import requests as in_flight
+from cassandra_ros.store.rows import backfill, fetch, reader
+from cassandra_ros.store.rows import row_counts as counting
+from cassandra_ros.store.rows import writer as writing
+from cassandra_ros.store.tables.directory import slot_of
+from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.store.tables.row_table import bind
 
 pytestmark = pytest.mark.suite("all", "requests fail in it")
 

@@ -20,11 +20,11 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata, from_comment
-from cassandra_ros.store.backfill import Backfill, ShadowUpdate
-from cassandra_ros.tables import schema as schema_module
-from cassandra_ros.tables import table_files
-from cassandra_ros.tables.directory import BucketTotals
-from cassandra_ros.tables.side_tables import SchemaLock
+from cassandra_ros.store.rows.backfill import Backfill, ShadowUpdate
+from cassandra_ros.store.tables import schema as schema_module
+from cassandra_ros.store.tables import table_files
+from cassandra_ros.store.tables.directory import BucketTotals
+from cassandra_ros.store.tables.side_tables import SchemaLock
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -622,10 +622,10 @@ def test_what_is_a_ttl(ttl):
 
 
 def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
-    from cassandra_ros.tables import directory as listing
+    from cassandra_ros.store.tables import directory as listing
 
     # Only the test's own.
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
     writer = rosCas.messageWriter(ttl=500)
     handle = writer.connect(api_connection("/t", definition_of(String), "/w"), bucket_ns=600 * SEC)
 

@@ -18,17 +18,17 @@ from nodes.children import await_true
 from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.connection.requests import MAX_BYTES, Flight
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.cluster_settings import OWN_HEAP_MB
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.writer import HELD_BYTES
-from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.connection.requests import MAX_BYTES, Flight
+from cassandra_ros.store.rows.writer import HELD_BYTES
+from cassandra_ros.store.tables.row_table import CHUNK_BYTES
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
@@ -168,8 +168,8 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.connection.requests import Flight
-from cassandra_ros.store.writer import RowWriter
+from cassandra_ros.store.connection.requests import Flight
+from cassandra_ros.store.rows.writer import RowWriter
 from std_msgs.msg import UInt8MultiArray
 
 host, port, keyspace, where = sys.argv[1:]

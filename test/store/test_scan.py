@@ -14,7 +14,7 @@ from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import reader
+from cassandra_ros.store.rows import reader
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

@@ -19,8 +19,8 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import reader
-from cassandra_ros.tables import directory as listing
+from cassandra_ros.store.rows import reader
+from cassandra_ros.store.tables import directory as listing
 
 SEC = 10**9
 SLOT = 4096 * SEC

@@ -15,7 +15,7 @@ from cassandra_ros.errors import MessageNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables.expiry import STEPS, rounded
+from cassandra_ros.store.tables.expiry import STEPS, rounded
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

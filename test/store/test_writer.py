@@ -21,8 +21,8 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables.directory import BucketTotals
-from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.directory import BucketTotals
+from cassandra_ros.store.tables.row_table import CHUNK_BYTES
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -94,7 +94,7 @@ def test_repeating_a_run_ends_in_the_same_rows(rosCas, cql):
 
 def test_a_writer_that_died_leaves_true_counts(rosCas, cql, monkeypatch):
     # A dead one tells nothing more.
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
     writer = rosCas.messageWriter(writer_id=99)
     handle = writer.connect(connection("/a", String))
     for number in range(100):
@@ -111,9 +111,11 @@ def test_a_writer_that_died_leaves_true_counts(rosCas, cql, monkeypatch):
 
 
 def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
-    from cassandra_ros.store import row_counts as counting
+    from cassandra_ros.store.rows import row_counts as counting
 
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)  # nor closes it by itself
+    monkeypatch.setattr(
+        "cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9
+    )  # nor closes it by itself
     writer = rosCas.messageWriter(writer_id=99)
     handle = writer.connect(connection("/a", String))
     for number in range(10):

@@ -11,7 +11,7 @@ import zlib
 
 import pytest
 
-from cassandra_ros.tables import checksum
+from cassandra_ros.store.tables import checksum
 
 
 @pytest.mark.parametrize("with_isal", [True, False])

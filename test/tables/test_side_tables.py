@@ -13,10 +13,10 @@ from suites import sparing
 from threads import together
 
 from cassandra_ros.errors import KeyspaceNotFound, TopicNotFound
-from cassandra_ros.tables import side_tables
-from cassandra_ros.tables.context_blob import RunContext
-from cassandra_ros.tables.registry import Loss, LossKind, Run
-from cassandra_ros.tables.side_tables import LATER_TABLES, SIDE_TABLES
+from cassandra_ros.store.tables import side_tables
+from cassandra_ros.store.tables.context_blob import RunContext
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.tables.side_tables import LATER_TABLES, SIDE_TABLES
 
 EVERY = {"cr_lock", *SIDE_TABLES}
 

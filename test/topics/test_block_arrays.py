@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
-from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.topics.row_finder import Finder
 from cassandra_ros.topics.stored_row import StoredRow
 

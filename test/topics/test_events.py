@@ -25,8 +25,8 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.read import ALWAYS, Read, TimeRange, Whose
-from cassandra_ros.tables.event_table import SLOT_NS, Event, Names
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.event_table import SLOT_NS, Event, Names
+from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics import event_finder
 from cassandra_ros.topics.event_times import EventTimes
 

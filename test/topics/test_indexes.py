@@ -20,14 +20,14 @@ from topics.clients import children
 from topics.writing_process import T0, VALUES
 
 from cassandra_ros.errors import InvalidName, InvalidOption, StoreUnavailable, TopicNotFound
-from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.formats.table import FORMATS, format_class
 from cassandra_ros.messages.index_field import MAX_ELEMENTS
-from cassandra_ros.store import writer as writer_module
-from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.schema import Listing
+from cassandra_ros.store.rows import writer as writer_module
+from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.schema import Listing
 from cassandra_ros.topics import indexes
 
 SEC = 10**9
@@ -443,7 +443,7 @@ def test_the_index_of_the_key(rosCas, monkeypatch):
 
 
 def rosCas_totals(row):
-    from cassandra_ros.tables.directory import BucketTotals
+    from cassandra_ros.store.tables.directory import BucketTotals
 
     return BucketTotals(row.rows, row.bytes, row.largest, row.t_min, row.t_max, row.odd)
 

@@ -235,7 +235,7 @@ def test_times_of_a_topic_with_values(rosCas):
 
 
 def test_more_rows_of_a_value_than_are_put_in_order_at_once(rosCas, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.store.fetch.FEW_ROWS", 3)
+    monkeypatch.setattr("cassandra_ros.store.rows.fetch.FEW_ROWS", 3)
     topic = rosCas.addTopic(
         "/a", key_format="msg_part", key_part="data", msg_type="std_msgs/String"
     )
@@ -525,9 +525,9 @@ class TestQueries:
 def test_export_keeps_the_times_of_reception(cassandra, keyspace, tmp_path):
     import rosbag
 
-    from cassandra_ros.bag.comparison import verify_bag
-    from cassandra_ros.bag.exporter import export_bag
-    from cassandra_ros.bag.importer import import_bag
+    from cassandra_ros.files.bag.comparison import verify_bag
+    from cassandra_ros.files.bag.exporter import export_bag
+    from cassandra_ros.files.bag.importer import import_bag
 
     now = [T0]
     with RosCassandra(
@@ -582,7 +582,7 @@ class TestOtherClients:
 
     @pytest.mark.parametrize("made_anew", [False, True])
     def test_after_a_rename_nothing_goes_astray(self, rosCas, other, made_anew, monkeypatch):
-        monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.0)
+        monkeypatch.setattr("cassandra_ros.store.tables.schema.CACHE_SEC", 0.0)
         topic = rosCas.addTopic("p")
         topic.addData(String(data="1"))
         other.renameTopic("p", "p2")
@@ -696,9 +696,9 @@ def test_the_longest_ttl(rosCas):
 def test_a_bag_of_equal_times_keeps_its_order(rosCas, tmp_path, key_format, key_part):
     import rosbag
 
-    from cassandra_ros.bag.comparison import verify_bag
-    from cassandra_ros.bag.exporter import export_bag
-    from cassandra_ros.bag.importer import import_bag
+    from cassandra_ros.files.bag.comparison import verify_bag
+    from cassandra_ros.files.bag.exporter import export_bag
+    from cassandra_ros.files.bag.importer import import_bag
 
     path = str(tmp_path / "in.bag")
     with rosbag.Bag(path, "w") as bag:
@@ -723,7 +723,7 @@ def test_a_bag_of_equal_times_keeps_its_order(rosCas, tmp_path, key_format, key_
 def test_an_export_has_the_names_of_now(rosCas, tmp_path):
     import rosbag
 
-    from cassandra_ros.bag.exporter import export_bag
+    from cassandra_ros.files.bag.exporter import export_bag
 
     rosCas.addTopic("/o").addData(String(data="first"), key=T0)
     rosCas.renameTopic("/o", "/n")

@@ -13,7 +13,13 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from suites import search
 
-from cassandra_ros.tables.directory import CLOCKS_SEC, ActiveEntry, BucketTotals, Directory, slot_of
+from cassandra_ros.store.tables.directory import (
+    CLOCKS_SEC,
+    ActiveEntry,
+    BucketTotals,
+    Directory,
+    slot_of,
+)
 
 SEC = 10**9
 T0 = 1_600_000_000 * SEC
@@ -161,7 +167,7 @@ def test_a_table_of_an_earlier_release_is_read_by_robot_until_it_is_repaired(
     rosCas, connect, cql, monkeypatch, form
 ):
     # Nothing is listed or closed meanwhile.
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
     fleet = filled(rosCas, form)
     table, _ = place_of(rosCas, fleet)
     cql.execute(

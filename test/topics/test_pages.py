@@ -13,10 +13,10 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
-from cassandra_ros.connection.protocol import RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.store.connection.protocol import RawPage
 
 T = 1_400_000_000_123_456_789
 

@@ -16,11 +16,11 @@ from bag.truth import string_connection, string_wire
 from std_msgs.msg import String
 from suites import examples
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import CassandraRosError
-from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.tables import replacement
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.store.tables import replacement
 
 SEC = 10**9
 T0 = 1_600_000_000 * SEC
@@ -35,7 +35,7 @@ STEPS = 25
 def quick(monkeypatch):
     """Clients of these tests read the comments anew at once."""
     monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
-    monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
+    monkeypatch.setattr("cassandra_ros.store.tables.schema.CACHE_SEC", 0.03)
 
 
 class Life:

@@ -15,7 +15,7 @@ from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import reader
+from cassandra_ros.store.rows import reader
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -113,7 +113,7 @@ def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
         return future
 
     monkeypatch.setattr(rosCas.cassandra, "ask_raw", stumbling)
-    monkeypatch.setattr("cassandra_ros.connection.requests.FIRST_PAUSE_SEC", 0.001)
+    monkeypatch.setattr("cassandra_ros.store.connection.requests.FIRST_PAUSE_SEC", 0.001)
     assert found(rosCas.readMessages()) == wanted
     assert sum(i.count for i in rosCas.info()) == len(wanted)
     assert rosCas.getTopic("/t0").getRow(wanted[0][0].t) is not None

@@ -17,8 +17,8 @@ from topics.clients import ROOT
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.tables.directory import STALE_SEC
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.tables.directory import STALE_SEC
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 
 T0 = 1_500_000_000 * SECOND_NS
 RECORDER = """
@@ -100,7 +100,7 @@ def test_a_killed_run_shows_what_it_stored(cassandra, connect, cql, keyspace):
 
 
 def test_a_run_in_which_nothing_comes_is_alive(rosCas, cql, keyspace, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 0.05)
     with begin(rosCas, 7, "quiet", count=0):
         registry = rosCas.catalog.keyspace.registry
         age(cql, keyspace)

@@ -15,9 +15,14 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.plan.pushdown import PLANS
-from cassandra_ros.tables.context_blob import NodeGraph, RunContext, decode_context, encode_context
-from cassandra_ros.tables.directory import FEW_BUCKETS
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.tables.context_blob import (
+    NodeGraph,
+    RunContext,
+    decode_context,
+    encode_context,
+)
+from cassandra_ros.store.tables.directory import FEW_BUCKETS
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 from cassandra_ros.topics import removal
 
 PARAMS = {

@@ -8,10 +8,10 @@ import pytest
 from bag.truth import STRING_MD5, string_connection, string_wire
 from std_msgs.msg import String
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.cli import recorder as recorder_cli
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of

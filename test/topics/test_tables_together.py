@@ -14,11 +14,11 @@ import pytest
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Float64, String, UInt8MultiArray
 
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables.side_tables import CHANGES_A_RENEWAL, SchemaLock
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.tables.side_tables import CHANGES_A_RENEWAL, SchemaLock
 from cassandra_ros.topics.message_writer import Asked
 
 T0 = 1_500_000_000 * 10**9
@@ -122,8 +122,8 @@ import os, signal, sys
 sys.path[:0] = sys.argv[4:]
 from test_tables_together import asked
 from cassandra_ros import RosCassandra
-from cassandra_ros.tables import side_tables
-from cassandra_ros.tables.side_tables import SchemaLock
+from cassandra_ros.store.tables import side_tables
+from cassandra_ros.store.tables.side_tables import SchemaLock
 side_tables.FRESH_SEC = -1.0
 renew, renewals = SchemaLock.renew, []
 def renew_or_die(lock):

@@ -14,12 +14,12 @@ from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Int64, String
 
 from cassandra_ros import Stamp
-from cassandra_ros.arrays import table_values
 from cassandra_ros.errors import InvalidKey, InvalidQuery
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import message_class
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.query.arrays import table_values
 
 T = 1_400_000_000_123_456_789
 TEXT = (

@@ -16,15 +16,15 @@ from std_msgs.msg import Header, String
 from suites import FEW_FORMATS, sparing
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.arrays import arrow_batches
-from cassandra_ros.arrays.row_columns import RowColumns
 from cassandra_ros.errors import InvalidName
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
+from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.arrays import arrow_batches
+from cassandra_ros.query.arrays.row_columns import RowColumns
 from cassandra_ros.topics.row_reader import FollowingReader
 
 T0 = 1_600_000_000 * SECOND_NS

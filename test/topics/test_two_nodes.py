@@ -9,8 +9,8 @@ import pytest
 from std_msgs.msg import Header
 from topics.key_kinds import KEYS, every_key
 
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.exporter import export_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of

@@ -21,11 +21,11 @@ from cassandra_ros.errors import (
     MessageNotFound,
     TopicNotFound,
 )
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import reader
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.store.rows import reader
 from cassandra_ros.topics import removal
 
 SEC = 10**9

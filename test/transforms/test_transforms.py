@@ -37,8 +37,8 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.tables.registry import Run
-from cassandra_ros.transforms import transform_samples as samples
+from cassandra_ros.places.transforms import transform_samples as samples
+from cassandra_ros.store.tables.registry import Run
 
 tf2_py = compiled("tf2_py")
 

@@ -15,7 +15,7 @@ from cassandra_ros.errors import MissingDependency
 
 def test_a_lookup_names_the_python_and_what_to_install(rosCas, monkeypatch):
     monkeypatch.setitem(sys.modules, "tf2_py", None)
-    monkeypatch.delitem(sys.modules, "cassandra_ros.transforms.tf_buffer", raising=False)
+    monkeypatch.delitem(sys.modules, "cassandra_ros.places.transforms.tf_buffer", raising=False)
     made = TransformStamped(child_frame_id="base")
     made.header.frame_id = "map"
     made.header.stamp.secs = 7

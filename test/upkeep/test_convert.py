@@ -13,14 +13,14 @@ from std_msgs.msg import String
 from suites import sparing
 
 from cassandra_ros.errors import InvalidOption, SchemaConflict, TopicNotFound, UnknownFormat
-from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables import replacement, schema
-from cassandra_ros.upkeep import conversion as convert
-from cassandra_ros.upkeep import table_copy as copying
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.store.tables import replacement, schema
+from cassandra_ros.topics.upkeep import conversion as convert
+from cassandra_ros.topics.upkeep import table_copy as copying
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -30,7 +30,7 @@ T0 = 1_500_000_000 * SEC
 def quick(monkeypatch):
     """Clients of these tests read the comments anew at once."""
     monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
-    monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
+    monkeypatch.setattr("cassandra_ros.store.tables.schema.CACHE_SEC", 0.03)
 
 
 def joint_state(number):
@@ -276,7 +276,7 @@ def test_what_goes_wrong_is_said_before_anything_is_made(rosCas):
 
 
 def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.3)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 0.3)
     monkeypatch.setattr(convert, "LOOK_SEC", 0.1)
     fill(rosCas, "ros", 10)
     with rosCas.messageWriter() as writer:
@@ -483,7 +483,7 @@ def test_what_comes_after_a_conversion_was_broken_off_is_taken_along(
 
 def test_what_came_late_is_not_taken_along_while_its_writer_goes_on(rosCas, connect, monkeypatch):
     """Its next heartbeat would count without the late rows: both write the entry of its bucket."""
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.3)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 0.3)
     monkeypatch.setattr(convert, "LOOK_SEC", 0.1)
     fill(rosCas, "ros", 20)
     topic, finish = rosCas.getTopic("/t"), replacement.finish

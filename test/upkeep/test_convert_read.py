@@ -18,15 +18,15 @@ from std_msgs.msg import String
 from suites import SUITE
 from upkeep.test_convert import SEC, T0, facts, fill, formats, joint_state, seen
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import CassandraRosError, SchemaConflict
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables import replacement, schema
-from cassandra_ros.upkeep import conversion as convert
-from cassandra_ros.upkeep import table_copy as copying
+from cassandra_ros.store.tables import replacement, schema
+from cassandra_ros.topics.upkeep import conversion as convert
+from cassandra_ros.topics.upkeep import table_copy as copying
 
 pytestmark = pytest.mark.suite("all", "other clients read and write while it converts")
 
@@ -136,9 +136,9 @@ def test_who_reads_sees_each_message_all_the_time_and_once(rosCas, connect, keys
 KILLED = """
 import sys, os, signal
 from cassandra_ros import RosCassandra
-from cassandra_ros.tables import replacement
-from cassandra_ros.tables.side_tables import SchemaLock
-from cassandra_ros.upkeep import conversion as convert
+from cassandra_ros.store.tables import replacement
+from cassandra_ros.store.tables.side_tables import SchemaLock
+from cassandra_ros.topics.upkeep import conversion as convert
 host, port, keyspace, where, target = sys.argv[1:]
 replacement.SETTLE_SEC = 0.3
 def kill(*args): os.kill(os.getpid(), signal.SIGKILL)

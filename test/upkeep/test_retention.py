@@ -22,8 +22,8 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.read import TimeRange
-from cassandra_ros.tables.registry import Run
-from cassandra_ros.upkeep.retention_rules import _gaps
+from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.topics.upkeep.retention_rules import _gaps
 
 COUNT = 200
 STEP = SECOND_NS // 2

@@ -13,7 +13,7 @@ from std_msgs.msg import Duration, Float64, Int64, String, UInt8MultiArray
 from viewers import running_viewer
 from viewing.test_timeline import add
 
-from cassandra_ros.overview.envelopes import EnvelopeReader
+from cassandra_ros.topics.overview.envelopes import EnvelopeReader
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing import ask_routes
 

@@ -13,9 +13,9 @@ from cassandra_ros.errors import AccessDenied
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.store import row_counts as counting
-from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.rows import row_counts as counting
+from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 from cassandra_ros.viewing import viewer_context
 
 NS = 1368021980238582676
@@ -238,7 +238,7 @@ def test_nothing_that_is_asked_writes(viewer, stored, cql):
 
 def test_who_may_only_read_counts_what_a_killed_recording_left(rosCas, monkeypatch):
     # It stays open, however long the answers take: a writer closes idle buckets by itself.
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
     rosCas.addTopic("/open").addData(String("x"), key=NS)
     refused = []
 

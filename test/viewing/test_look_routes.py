@@ -20,8 +20,8 @@ from test_imports import ROOT
 from tf2_msgs.msg import TFMessage
 from viewers import running_viewer
 
-from cassandra_ros.bag.bag_writer import BagWriter
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.bag_writer import BagWriter
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import Connection, live_connection

@@ -12,8 +12,8 @@ from compiled import compiled
 from mapping.room import SHIFT, T0, assert_room
 from PIL import Image
 
-from cassandra_ros.mapping.occupancy import OccupancyMap
 from cassandra_ros.viewing import map_routes
+from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
 
 SEC = 10**9
 

@@ -14,7 +14,7 @@ from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Float64
 from viewers import running_viewer
 
-from cassandra_ros.sql.statement_processes import AT_ONCE, SqlAnswer
+from cassandra_ros.client.sql.statement_processes import AT_ONCE, SqlAnswer
 
 pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 

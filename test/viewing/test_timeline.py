@@ -11,11 +11,11 @@ from viewers import running_viewer
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.overview.timeline import bucket_detail as detail
-from cassandra_ros.overview.timeline import directory_reader as reader
 from cassandra_ros.read import EVERYBODY
-from cassandra_ros.tables.directory import SLOT_BUCKETS, BucketTotals
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.tables.directory import SLOT_BUCKETS, BucketTotals
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
+from cassandra_ros.topics.overview.timeline import bucket_detail as detail
+from cassandra_ros.topics.overview.timeline import directory_reader as reader
 
 T0 = 1_500_000_000 * SECOND_NS
 BUCKET = 100 * SECOND_NS
@@ -222,7 +222,7 @@ def test_an_empty_keyspace_shows_nothing_and_then_what_is_stored(fresh, monkeypa
 
 def test_what_is_being_recorded_is_shown(fresh, monkeypatch):
     # It stays open, however long the answers take: a writer closes idle buckets by itself.
-    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
+    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
     header = {"type": Int64._type, "md5sum": Int64._md5sum}
     header["message_definition"] = Int64._full_text
     with fresh() as store, running_viewer(store) as viewer:

@@ -17,8 +17,8 @@ from mcap.reader import make_reader
 from std_msgs.msg import String
 from viewers import running_viewer
 
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.viewing import window_routes
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"

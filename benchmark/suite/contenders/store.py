@@ -7,10 +7,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Iterator
 
-from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.tables.directory import bucket_for, span_for
-from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.store.tables.directory import bucket_for, span_for
+from cassandra_ros.store.tables.row_table import CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from suite.contenders.contender import Contender
 from suite.contenders.rosbags import Rosbag

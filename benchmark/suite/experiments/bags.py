@@ -21,8 +21,8 @@ from genpy import Time
 from mcap.writer import Writer
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.bag_reader import BagReader
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.bag_reader import BagReader
+from cassandra_ros.files.bag.importer import import_bag
 from suite.contenders import FORMAT_NAMES
 from suite.context import Context, timed
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Callable
 
 from cassandra_ros import Replicator, RosCassandra
-from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.exporter import export_bag
+from cassandra_ros.files.bag.importer import import_bag
 from suite.contenders import FORMAT_NAMES
 from suite.contenders.store import folder_bag
 from suite.context import Context, measure

@@ -22,8 +22,8 @@ import pyarrow.parquet
 import rosbag
 from sensor_msgs.msg import NavSatFix
 
+from cassandra_ros.client.sql.sql_result import SqlResult
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.sql.sql_result import SqlResult
 from suite.contenders import Rosbag, Store
 from suite.context import Context, timed
 from suite.experiments.conditions import CONDITIONS, plant

@@ -14,7 +14,7 @@ from typing import Sequence
 import psutil
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.topics.message_writer import Asked
 from suite.context import Context, Costs, measure

@@ -78,7 +78,7 @@ def _topics_of_files(options: argparse.Namespace) -> list[str] | None:
     """Return the topics of the files of import or verify; None for all other verbs."""
     if getattr(options, "verb", "") not in ("import", "verify"):
         return None
-    from cassandra_ros.bag.file_formats import open_file
+    from cassandra_ros.files.bag.file_formats import open_file
 
     files = options.bags if options.verb == "import" else [options.bag]
     topics = set()

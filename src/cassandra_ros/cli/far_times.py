@@ -40,7 +40,12 @@ def check_times(options: argparse.Namespace, catalogs: Iterable[Catalog]) -> Non
         InvalidOption: A number was meant as ms or us, as the times that are stored show, or a text
             is no time.
     """
-    from cassandra_ros.overview.stored_ends import far_outside, stored_ends, widest, wrong_unit
+    from cassandra_ros.topics.overview.stored_ends import (
+        far_outside,
+        stored_ends,
+        widest,
+        wrong_unit,
+    )
 
     texts = {name: getattr(options, name) for name in getattr(options, "time_options", ())}
     times = {name: read_time(name, text) for name, text in texts.items()}

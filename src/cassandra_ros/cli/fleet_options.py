@@ -12,10 +12,10 @@ from cassandra_ros.cli.far_times import check_times
 from cassandra_ros.cli.options import hurry_on_interrupt, read_seconds
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.target_options import PLACE
-from cassandra_ros.connection.address import ANSWER_SEC
+from cassandra_ros.store.connection.address import ANSWER_SEC
 
 if TYPE_CHECKING:
-    from cassandra_ros.fleet.fleet import Fleet
+    from cassandra_ros.stores.fleet.fleet import Fleet
 
 STORE_MISSING = 3
 """Exit status if a store of --store did not answer."""
@@ -68,8 +68,8 @@ def open_fleet(options: argparse.Namespace) -> Fleet:
     Raises:
         InvalidOption: A store is given twice or is no place, or the file is not valid.
     """
-    from cassandra_ros.fleet.fleet import Fleet
-    from cassandra_ros.fleet.fleet_answer import FleetAnswer
+    from cassandra_ros.stores.fleet.fleet import Fleet
+    from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
 
     fleet = Fleet(
         options.stores,

@@ -11,7 +11,7 @@ from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
 from cassandra_ros.printable import format_duration, shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.fleet.fleet_info import FleetTopicInfo
+    from cassandra_ros.stores.fleet.fleet_info import FleetTopicInfo
 
 _HEADER = ("topic", "type", "format", "node", "messages", "size", "first", "last", "in")
 

@@ -18,7 +18,6 @@ from cassandra_ros.cli.confirmation import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import verbs_parser
 from cassandra_ros.cli.terminal_text import format_bytes
-from cassandra_ros.connection.address import DEFAULT_HOST, DEFAULT_PORT
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
 from cassandra_ros.local_server.disk import full_disk
@@ -27,6 +26,7 @@ from cassandra_ros.local_server.nodes import Node, size_of
 from cassandra_ros.local_server.ports import count_clients
 from cassandra_ros.local_server.processes import ProgressLines
 from cassandra_ros.printable import shown
+from cassandra_ros.store.connection.address import DEFAULT_HOST, DEFAULT_PORT
 
 EXIT_NOT_RUNNING = 3
 # roslaunch sends SIGINT to all its programs at once, and SIGTERM 15 s later. Before that the

@@ -32,17 +32,17 @@ from typing import (
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.far_times import check_times, read_time
 from cassandra_ros.cli.readers import exact_seconds
-from cassandra_ros.connection.address import (
+from cassandra_ros.errors import ConnectionFailed, InvalidOption, TlsMismatch
+from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, FORMATS
+from cassandra_ros.printable import shown, shown_lines
+from cassandra_ros.store.connection.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
     DEFAULT_PORT,
     from_environment,
     port_number,
 )
-from cassandra_ros.connection.login import CQLSHRC, CREDENTIALS, read_login
-from cassandra_ros.errors import ConnectionFailed, InvalidOption, TlsMismatch
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
-from cassandra_ros.printable import shown, shown_lines
+from cassandra_ros.store.connection.login import CQLSHRC, CREDENTIALS, read_login
 
 if TYPE_CHECKING:
     from concurrent.futures import Future

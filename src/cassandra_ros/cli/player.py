@@ -55,10 +55,10 @@ from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
-    from cassandra_ros.fleet.fleet import Fleet
     from cassandra_ros.nodes.player import PlayerState
     from cassandra_ros.playing.play_options import PlayerOptions
     from cassandra_ros.playing.play_selection import PlaySelection
+    from cassandra_ros.stores.fleet.fleet import Fleet
 
 PROGRAM = "player"
 SHOW_SEC = 0.1

@@ -49,7 +49,7 @@ from cassandra_ros.cli.script import end_now
 from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.cli.topic_options import add_exclude_option
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
-from cassandra_ros.formats.table import format_class
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.recording.option_values import (
     BLOCK_SEC,
     read_bound,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cassandra_ros.recording.recording_options import RecorderOptions
     from cassandra_ros.recording.recording_status import Rates, RecordingStatus
     from cassandra_ros.recording.topic_counts import TopicReport
-    from cassandra_ros.tables.registry import LossKind
+    from cassandra_ros.store.tables.registry import LossKind
 
 _CLEAR = "\r\033[K"
 

@@ -72,11 +72,11 @@ def main() -> int:
     answer_shell(parser)
     words = strip_remappings(None)
     parser.parse_args(words)  # wrong usage and --help need no master
-    from cassandra_ros.copying.follower import Follower
-    from cassandra_ros.copying.quota import Quota
-    from cassandra_ros.copying.replicator import Replicator
-    from cassandra_ros.copying.rules import read_rules_file
     from cassandra_ros.nodes.replicator_node import follow, start_node
+    from cassandra_ros.stores.copying.follower import Follower
+    from cassandra_ros.stores.copying.quota import Quota
+    from cassandra_ros.stores.copying.replicator import Replicator
+    from cassandra_ros.stores.copying.rules import read_rules_file
 
     # Parameters set the options that the command line does not give.
     given = words_of(parser, start_node(sys.argv))

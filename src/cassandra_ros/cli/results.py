@@ -13,13 +13,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
-from cassandra_ros.arrays.array_types import ArrayType
 from cassandra_ros.cli.terminal_text import align, write_utf8
 from cassandra_ros.errors import CassandraRosError, InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.own_files import new_file
 from cassandra_ros.printable import shown
+from cassandra_ros.query.arrays.array_types import ArrayType
 from cassandra_ros.query.rows.answer_bound import AnswerBound, least_bytes
 from cassandra_ros.query.tree.json_values import json_value, to_json
 

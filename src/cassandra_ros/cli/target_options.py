@@ -8,7 +8,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.options import DEFAULT_CONSISTENCY, open_store
-from cassandra_ros.connection.address import read_place
+from cassandra_ros.store.connection.address import read_place
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra

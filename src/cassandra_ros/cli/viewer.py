@@ -42,10 +42,10 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.studio_offer import install, offer
-from cassandra_ros.connection.address import from_environment
-from cassandra_ros.connection.login import is_private, read_login
 from cassandra_ros.errors import InvalidOption, KeyspaceNotFound, MissingDependency
 from cassandra_ros.installation import optional_module
+from cassandra_ros.store.connection.address import from_environment
+from cassandra_ros.store.connection.login import is_private, read_login
 from cassandra_ros.viewing.studio import studio_folder
 from cassandra_ros.viewing.viewer_settings import (
     DEFAULT_CACHE_BYTES,
@@ -56,7 +56,7 @@ from cassandra_ros.viewing.viewer_settings import (
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
-    from cassandra_ros.fleet.fleet import Fleet
+    from cassandra_ros.stores.fleet.fleet import Fleet
     from cassandra_ros.topics.catalog import Catalog
 
 PROGRAM = "viewer"
@@ -193,7 +193,7 @@ def _logs_in(options: argparse.Namespace) -> bool:
     cqlshrc, credentials = options.cqlshrc, options.credentials
     if not options.stores:
         return read_login(options.host, options.port, cqlshrc, credentials).is_secret
-    from cassandra_ros.fleet.fleet_store import read_places
+    from cassandra_ros.stores.fleet.fleet_store import read_places
 
     names, file = options.stores, options.store_file
     places = read_places(names, file, options.keyspace, cqlshrc, credentials)

@@ -10,9 +10,10 @@ from typing import Any, Iterable, Iterator, Mapping, Sequence, Tuple
 
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
 from cassandra_ros.client.explanation import Explanation
+from cassandra_ros.client.sql.duck_database import MEMORY
+from cassandra_ros.client.sql.sql_result import SqlResult
+from cassandra_ros.client.sql.sql_statement import Params
 from cassandra_ros.client.statements import Statements
-from cassandra_ros.connection.address import from_environment
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import (
     CassandraRosError,
     InvalidName,
@@ -22,15 +23,15 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
+from cassandra_ros.places.transforms.lookup import lookup_transform
 from cassandra_ros.printable import public_names
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.read import Read
-from cassandra_ros.sql.duck_database import MEMORY
-from cassandra_ros.sql.sql_result import SqlResult
-from cassandra_ros.sql.sql_statement import Params
-from cassandra_ros.tables.context_blob import RunContext
-from cassandra_ros.tables.event_table import Event
-from cassandra_ros.tables.registry import Loss
+from cassandra_ros.store.connection.address import from_environment
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.tables.context_blob import RunContext
+from cassandra_ros.store.tables.event_table import Event
+from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.descriptions import InfoList, RunList
@@ -44,10 +45,9 @@ from cassandra_ros.topics.row_finder import Clock, Where, range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.transforms.lookup import lookup_transform
-from cassandra_ros.upkeep.conversion import Converted, convert_topic
-from cassandra_ros.upkeep.table_copy import Progress
-from cassandra_ros.upkeep.upkeep import Upkeep
+from cassandra_ros.topics.upkeep.conversion import Converted, convert_topic
+from cassandra_ros.topics.upkeep.table_copy import Progress
+from cassandra_ros.topics.upkeep.upkeep import Upkeep
 
 NearDisk = Tuple[float, float, float, str, str]
 """x, y and radius (m) in a frame, the frame, and the robot; '' = to be found out."""

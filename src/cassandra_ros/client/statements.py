@@ -18,8 +18,6 @@ from cassandra_ros.client.explanation import Explanation, explain
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.overview.envelopes import EnvelopeCache
-from cassandra_ros.overview.plot_series import WHOLE, Series, SeriesRequest, Window, read_series
 from cassandra_ros.query.plan.bounds import in_another_unit
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.field_names import nearest
@@ -35,11 +33,19 @@ from cassandra_ros.query.tree.syntax import (
     Truncate,
 )
 from cassandra_ros.read import Read
-from cassandra_ros.tables.schema import Schema
+from cassandra_ros.store.tables.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.overview.envelopes import EnvelopeCache
+from cassandra_ros.topics.overview.plot_series import (
+    WHOLE,
+    Series,
+    SeriesRequest,
+    Window,
+    read_series,
+)
 from cassandra_ros.topics.query_result import Condition, Cursor, QueryResult, Rows
 from cassandra_ros.topics.removal import delete_rows
 from cassandra_ros.topics.row_finder import unit_meant

@@ -3,6 +3,11 @@
 """The ROS nodes: they unpack requests, call the library and pack answers. Only they import rospy.
 
 ``recorder`` subscribes through ``subscription``, which avoids the losses of rospy, and hands the
-bytes to a recording; ``recorder_node`` is the node around it; ``query_node`` answers services. All
-nodes use ``ros_node`` for their name, log and time.
+bytes to a recording; ``recorder_node`` is the node around it. ``player`` publishes bytes as they
+are stored, through ``publication``; ``query_node`` answers services. All nodes use ``ros_node`` for
+their name, log, time and services, and ``registration``, which registers again with a master that
+was started anew.
+
+In: messages and requests of ROS. Out: messages and answers of ROS.
+This room imports recording/, playing/, stores/, client/ and what lies below.
 """

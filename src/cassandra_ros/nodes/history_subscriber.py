@@ -13,17 +13,17 @@ import rospy
 
 from cassandra_ros.arguments import check_integer, check_node, check_ros_name, check_topic
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.connection.address import from_environment
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidKey, InvalidOption
-from cassandra_ros.history.live_queue import LiveQueue
-from cassandra_ros.history.stored_past import StoredPast
-from cassandra_ros.history.topic_history import History, HistoryMessage
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import Time, When, time_or_length, to_ns
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.subscription import connected_uris, subscribe
+from cassandra_ros.playing.history.live_queue import LiveQueue
+from cassandra_ros.playing.history.stored_past import StoredPast
+from cassandra_ros.playing.history.topic_history import History, HistoryMessage
+from cassandra_ros.store.connection.address import from_environment
 
 _log = logging.getLogger(__name__)
 

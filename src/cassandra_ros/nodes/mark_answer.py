@@ -12,7 +12,7 @@ from cassandra_ros.arguments import exact_json
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.srv import MarkResponse
-from cassandra_ros.tables.event_table import Event
+from cassandra_ros.store.tables.event_table import Event
 
 
 def read_values(text: str) -> Mapping[str, object]:

@@ -15,7 +15,6 @@ import rospy
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, InvalidOption
-from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.nodes.outlets import Outlets, PlayedTopic
@@ -29,6 +28,7 @@ from cassandra_ros.playing.playback import ENDED, Playback
 from cassandra_ros.playing.played_fleet import PlayedFleet
 from cassandra_ros.playing.played_store import PlayedKeyspace, PlayedStore
 from cassandra_ros.recording.message_buffer import starts_with_header
+from cassandra_ros.stores.fleet.fleet import Fleet
 
 _log = logging.getLogger(__name__)
 

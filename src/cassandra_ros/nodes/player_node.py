@@ -15,7 +15,6 @@ from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, Trig
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError
-from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
 from cassandra_ros.nodes.player import Player, PlayerState
@@ -36,6 +35,7 @@ from cassandra_ros.srv import (
     StepRequest,
     StepResponse,
 )
+from cassandra_ros.stores.fleet.fleet import Fleet
 
 _log = logging.getLogger(__name__)
 

@@ -15,6 +15,8 @@ import rospy
 
 from cassandra_ros.arguments import check_new_node, check_seconds
 from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.client.sql.python_values import printable_value
+from cassandra_ros.client.sql.statement_processes import MOST_SEC, Statement, StatementProcesses
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
@@ -53,8 +55,6 @@ from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.recording.event_marks import EventMarks
 from cassandra_ros.recording.option_values import read_label
-from cassandra_ros.sql.python_values import printable_value
-from cassandra_ros.sql.statement_processes import MOST_SEC, Statement, StatementProcesses
 from cassandra_ros.srv import (
     AddData,
     AddDataRequest,

@@ -8,7 +8,7 @@ from typing import Mapping, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from cassandra_ros.copying.quota import QuotaReport
+from cassandra_ros.stores.copying.quota import QuotaReport
 
 
 class QuotaEntry(NamedTuple):

@@ -19,7 +19,6 @@ from std_msgs.msg import String
 
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.copying.quota import Quota
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidName, InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.nodes.registration import Registration
@@ -43,8 +42,9 @@ from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.snapshot import Snapshots
 from cassandra_ros.recording.store_future import Store, store_future, then
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
-from cassandra_ros.tables.event_table import Event
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.event_table import Event
+from cassandra_ros.store.tables.registry import LossKind
+from cassandra_ros.stores.copying.quota import Quota
 
 _log = logging.getLogger(__name__)
 

@@ -15,13 +15,6 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
-from cassandra_ros.copying.copy_status import TopicStatus
-from cassandra_ros.copying.follower import (
-    AWAY,
-    PAUSED,
-    Follower,
-    FollowerStatus,
-)
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.msg import CopiedTopic
 from cassandra_ros.nodes.quota_entry import quota_entry
@@ -30,6 +23,13 @@ from cassandra_ros.srv import (
     ReplicatorStatus,
     ReplicatorStatusRequest,
     ReplicatorStatusResponse,
+)
+from cassandra_ros.stores.copying.copy_status import TopicStatus
+from cassandra_ros.stores.copying.follower import (
+    AWAY,
+    PAUSED,
+    Follower,
+    FollowerStatus,
 )
 
 _log = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ import rospy
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 
 _log = logging.getLogger(__name__)
 

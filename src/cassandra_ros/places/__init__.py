@@ -1,7 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses of robots over time, and the coarse cells of the ground by which they are found.
+"""Where robots were: transforms at a past time, poses, and the places that they have visited.
 
-This room lies below topics/, whose statements and ``near`` use it. Like transforms/, it knows a
-topic as a ``query.source.Source``, and gets topics from a function that raises TopicNotFound.
+``poses`` and ``frame_poses`` give the poses of many times at once, out of tf or of a topic that
+tells them. ``whereabouts`` finds when a robot was in a region, by an index of coarse cells of the
+ground (``run_index``, ``coverage``) as far as that goes. ``transforms/`` looks up one time.
+
+In: a function that returns a topic as a ``query.source.Source``, or raises TopicNotFound. Out:
+arrays of poses, transforms, time ranges. topics/ uses this room, and is not known here.
+This room imports query/, messages/ and store/tables/. tf2_py comes in here.
 """

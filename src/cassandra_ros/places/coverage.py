@@ -19,7 +19,7 @@ from cassandra_ros.places.robots import MAX_FRAMES, Robot
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import overlapping_pairs
 from cassandra_ros.query.plan.bounds import NsRange
-from cassandra_ros.tables.place_index import IndexedPoses, PlaceIndex, Square
+from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square
 
 _FIRST = LONGEST_NS + JOIN_NS
 """How long before a time a visit that lasts until then may have begun, ns."""

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Poses of a frame in another frame, from recorded transforms, for all times of a range at once.
 
-``transforms/`` looks up one time with tf2 itself. Here a topic of any length is read once with
-numpy, by the same rules: leading slashes of names are ignored, a frame with a fixed transform is
-fixed, of transforms with equal stamps the first is used, and transforms that tf2 would reject are
-left out.
+``places/transforms/`` looks up one time with tf2 itself. Here a topic of any length is read once
+with numpy, by the same rules: leading slashes of names are ignored, a frame with a fixed transform
+is fixed, of transforms with equal stamps the first is used, and transforms that tf2 would reject
+are left out.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Iterable, NamedTuple, Sequence
 import numpy as np
 
 from cassandra_ros.arguments import check_nodes
-from cassandra_ros.arrays.array_types import AnyArray
 from cassandra_ros.errors import TransformException
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
@@ -28,10 +27,11 @@ from cassandra_ros.places.array_source import (
 )
 from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, KnownPoses, Samples, Times
 from cassandra_ros.places.rigid import Rigid
+from cassandra_ros.places.transforms.lookup import lookup_transform
+from cassandra_ros.places.transforms.transform_samples import FixedTransforms, TransformTopic
+from cassandra_ros.query.arrays.array_types import AnyArray
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import Writers
-from cassandra_ros.transforms.lookup import lookup_transform
-from cassandra_ros.transforms.transform_samples import FixedTransforms, TransformTopic
 
 TF, TF_STATIC = "/tf", "/tf_static"
 AROUND_NS = 10 * SECOND_NS

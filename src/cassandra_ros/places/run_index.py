@@ -24,7 +24,7 @@ from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MAX_FRAMES, fixed_frames, frames_above, frames_in
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
-from cassandra_ros.tables.place_index import IndexedPoses, PlaceIndex, Square, Visit
+from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square, Visit
 
 MAX_FRAMES_ABOVE = 16
 """Maximum number of frames above a robot in which its places are indexed."""

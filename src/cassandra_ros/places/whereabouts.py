@@ -23,7 +23,7 @@ from cassandra_ros.places.track_windows import WINDOW_NS, Window, Windows
 from cassandra_ros.query.plan.bounds import NsRange
 from cassandra_ros.query.protocols import Disk
 from cassandra_ros.read import Writers
-from cassandra_ros.tables.place_index import PlaceIndex
+from cassandra_ros.store.tables.place_index import PlaceIndex
 
 
 class RegionStays:

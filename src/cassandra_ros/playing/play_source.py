@@ -9,12 +9,12 @@ from functools import cached_property
 from typing import FrozenSet, Iterable, Iterator, Optional, Sequence
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.overview.latched_messages import Latched, LatchedRecord
 from cassandra_ros.playing.played_store import PlayedRow, PlayedStore
 from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.event_times import EventTimes, Reads
+from cassandra_ros.topics.overview.latched_messages import Latched, LatchedRecord
 from cassandra_ros.topics.row_finder import Where
 
 Writers = Optional[FrozenSet[int]]

@@ -21,8 +21,6 @@ from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
 from cassandra_ros.metadata import Kind
-from cassandra_ros.overview.latched_messages import LatchedRecord, Source, is_latched
-from cassandra_ros.overview.stored_ends import far_outside
 from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
 from cassandra_ros.playing.play_source import PlaySource, with_first_times
@@ -37,9 +35,11 @@ from cassandra_ros.playing.robot_alignment import (
 )
 from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Read, TimeRange, Whose
-from cassandra_ros.tables.registry import Loss
+from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.event_finder import EventChoice
 from cassandra_ros.topics.hit_windows import merge_windows
+from cassandra_ros.topics.overview.latched_messages import LatchedRecord, Source, is_latched
+from cassandra_ros.topics.overview.stored_ends import far_outside
 from cassandra_ros.topics.row_finder import Where
 
 _log = logging.getLogger(__name__)

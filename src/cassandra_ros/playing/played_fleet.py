@@ -8,9 +8,13 @@ from functools import partial
 from itertools import chain
 from typing import Collection, Iterator, Mapping, Sequence
 
-from cassandra_ros.fleet.fleet import Fleet
-from cassandra_ros.fleet.fleet_answer import FleetAnswer, Missing, settled
-from cassandra_ros.fleet.fleet_reads import (
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
+from cassandra_ros.read import LAST_NS, Read, Whose
+from cassandra_ros.store.tables.registry import Loss
+from cassandra_ros.stores.fleet.fleet import Fleet
+from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer, Missing, settled
+from cassandra_ros.stores.fleet.fleet_reads import (
     conditions_of,
     merged_topics,
     times_of_events,
@@ -18,10 +22,12 @@ from cassandra_ros.fleet.fleet_reads import (
     topics_of,
     whose_of,
 )
-from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, merged_rows
-from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic
-from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.overview.latched_messages import (
+from cassandra_ros.stores.fleet.fleet_row import FleetRow, arrival_order, merged_rows
+from cassandra_ros.stores.fleet.fleet_topic import FleetTopic, find_topic
+from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.event_finder import EventChoice
+from cassandra_ros.topics.event_times import EventTimes, Reads
+from cassandra_ros.topics.overview.latched_messages import (
     LatchedFinder,
     LatchedRow,
     Publisher,
@@ -30,12 +36,6 @@ from cassandra_ros.overview.latched_messages import (
     publisher_of,
     tests_of,
 )
-from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
-from cassandra_ros.read import LAST_NS, Read, Whose
-from cassandra_ros.tables.registry import Loss
-from cassandra_ros.topics.catalog import Conditions
-from cassandra_ros.topics.event_finder import EventChoice
-from cassandra_ros.topics.event_times import EventTimes, Reads
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow

@@ -7,18 +7,18 @@ from __future__ import annotations
 from typing import Collection, Iterator, Mapping, Protocol, Sequence
 
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.overview.latched_messages import (
+from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
+from cassandra_ros.read import Read, Whose
+from cassandra_ros.store.tables.registry import Loss
+from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.event_finder import EventChoice
+from cassandra_ros.topics.event_times import EventTimes, Reads
+from cassandra_ros.topics.overview.latched_messages import (
     Latched,
     LatchedFinder,
     LatchedRow,
     tests_of,
 )
-from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
-from cassandra_ros.read import Read, Whose
-from cassandra_ros.tables.registry import Loss
-from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.event_finder import EventChoice
-from cassandra_ros.topics.event_times import EventTimes, Reads
 from cassandra_ros.topics.row_finder import Filter, Where
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow

@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Mapping, Sequence
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.overview.latched_messages import Source
 from cassandra_ros.playing.play_source import PlaySource
 from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Whose
+from cassandra_ros.topics.overview.latched_messages import Source
 
 
 def check_alignment(align: object) -> str:

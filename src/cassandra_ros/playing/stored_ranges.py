@@ -8,8 +8,8 @@ from typing import NamedTuple, Sequence
 
 from cassandra_ros.keys import split_seq
 from cassandra_ros.read import EVERYBODY, Nodes, Read, Whose
-from cassandra_ros.store.row_counts import settle
-from cassandra_ros.tables.directory import BucketRow
+from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.tables.directory import BucketRow
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable

@@ -27,14 +27,14 @@ from pathlib import Path
 from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.files.spool.segment_reader import SegmentReader
+from cassandra_ros.files.spool.segment_writer import SegmentWriter, SpooledMessage
+from cassandra_ros.files.spool.spool_folder import RunFolder, SpoolFolder
+from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel, TopicTotal, Totals
 from cassandra_ros.keys import COUNTER_BITS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, MessageSource
-from cassandra_ros.spool.segment_reader import SegmentReader
-from cassandra_ros.spool.segment_writer import SegmentWriter, SpooledMessage
-from cassandra_ros.spool.spool_folder import RunFolder, SpoolFolder
-from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel, TopicTotal, Totals
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 from cassandra_ros.topics.message_writer import Handle
 
 _log = logging.getLogger(__name__)

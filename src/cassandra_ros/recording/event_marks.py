@@ -16,7 +16,7 @@ from cassandra_ros.arguments import check_event_name, check_event_values, check_
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.tables.event_table import Event
+from cassandra_ros.store.tables.event_table import Event
 
 Put = Callable[[Event], object]
 """Function that stores an event, which may have been stored without its end before."""

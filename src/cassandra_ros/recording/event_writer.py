@@ -10,7 +10,7 @@ from concurrent.futures import Future
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
 from cassandra_ros.recording.store_future import is_there
-from cassandra_ros.tables.event_table import Event
+from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.topics.catalog import Catalog
 
 _log = logging.getLogger(__name__)

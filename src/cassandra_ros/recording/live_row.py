@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Iterator, Mapping, Sequence
 
 from cassandra_ros.errors import CassandraRosError, InvalidOption
-from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.formats.table import FALLBACK_FORMAT
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Disk, Events, NamedTime, Stays

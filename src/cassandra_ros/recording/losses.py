@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Mapping
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.tables.registry import Loss, LossKind
+from cassandra_ros.store.tables.registry import Loss, LossKind
 
 GAP_NS = 60 * SECOND_NS
 """Maximum time between two losses of a kind that are stored as one row, ns."""

@@ -23,23 +23,23 @@ from typing import (
     Sequence,
 )
 
-from cassandra_ros.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.frame_poses import TF, TF_STATIC
 from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.places.run_index import RobotRun, TfVisits, TopicVisits
+from cassandra_ros.places.transforms.transform_samples import TRANSFORMS
+from cassandra_ros.query.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.read import Read, Writers
 from cassandra_ros.recording.live_row import LiveRow, LiveTable
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
-from cassandra_ros.tables.place_index import IndexedPoses, Visit
+from cassandra_ros.store.tables.place_index import IndexedPoses, Visit
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.message_writer import connection_kind
 from cassandra_ros.topics.row_finder import range_between
-from cassandra_ros.transforms.transform_samples import TRANSFORMS
 
 if TYPE_CHECKING:
     from cassandra_ros.recording.message_buffer import MessageSource

@@ -8,9 +8,9 @@ import logging
 import threading
 from concurrent.futures import Future
 
-from cassandra_ros.copying.quota import Quota, QuotaReport
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.recording.store_future import is_there
+from cassandra_ros.stores.copying.quota import Quota, QuotaReport
 from cassandra_ros.topics.catalog import Catalog
 
 _log = logging.getLogger(__name__)

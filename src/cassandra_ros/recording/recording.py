@@ -21,6 +21,7 @@ from functools import partial
 from typing import Callable, Mapping, MutableMapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
+from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.places.run_index import RobotRun
@@ -34,10 +35,9 @@ from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, stor
 from cassandra_ros.recording.table_maker import TableMaker, connect, make_together
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings, settings_as_json
-from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
-from cassandra_ros.tables.context_blob import RunContext
-from cassandra_ros.tables.directory import Lengths
-from cassandra_ros.tables.registry import LossKind, Run
+from cassandra_ros.store.tables.context_blob import RunContext
+from cassandra_ros.store.tables.directory import Lengths
+from cassandra_ros.store.tables.registry import LossKind, Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, make_writer
 from cassandra_ros.topics.run_finder import describe_runs
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Callable, Mapping, Sequence
 
+from cassandra_ros.files.spool.spool_folder import DEFAULT_BYTES, SpoolFolder
 from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.event_marks import WatchedEvent
 from cassandra_ros.recording.option_values import (
@@ -18,7 +19,6 @@ from cassandra_ros.recording.option_values import (
     SnapshotBound,
 )
 from cassandra_ros.recording.topic_settings import Rule, Settings, TopicSettings
-from cassandra_ros.spool.spool_folder import DEFAULT_BYTES, SpoolFolder
 
 
 @dataclass(frozen=True)

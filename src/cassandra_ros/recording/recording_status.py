@@ -8,9 +8,9 @@ import time
 from dataclasses import dataclass
 from typing import Collection, Mapping, Sequence
 
-from cassandra_ros.copying.quota import QuotaReport
 from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.topic_counts import TopicReport
+from cassandra_ros.stores.copying.quota import QuotaReport
 
 RECORDING, STOPPED, SNAPSHOT, WAITING = "recording", "stopped", "snapshot", "waiting"
 """States of a recorder.

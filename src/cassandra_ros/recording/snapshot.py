@@ -19,7 +19,7 @@ from cassandra_ros.recording.message_buffer import ITEM_BYTES
 from cassandra_ros.recording.option_values import SnapshotBound
 from cassandra_ros.recording.recording import Recording, StampedMessage
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 _log = logging.getLogger(__name__)
 

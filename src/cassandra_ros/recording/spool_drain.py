@@ -21,7 +21,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Callable, Mapping
 
-from cassandra_ros.connection.driver_errors import is_denied
 from cassandra_ros.errors import (
     AccessDenied,
     CassandraRosError,
@@ -36,6 +35,11 @@ from cassandra_ros.errors import (
     UnknownFormat,
     WriteFailed,
 )
+from cassandra_ros.files.spool.message_account import MessageAccount
+from cassandra_ros.files.spool.segment_reader import Missing, SegmentPart, SegmentReader
+from cassandra_ros.files.spool.segment_writer import SegmentWriter
+from cassandra_ros.files.spool.spool_folder import RunFolder
+from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel, TopicTotal
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.read import Read, TimeRange, Whose
@@ -43,13 +47,9 @@ from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import lengths_for
 from cassandra_ros.recording.table_maker import MAX_CONFLICTS, PAUSE_SEC, connect
 from cassandra_ros.recording.topic_settings import Settings, settings_from_json
-from cassandra_ros.spool.message_account import MessageAccount
-from cassandra_ros.spool.segment_reader import Missing, SegmentPart, SegmentReader
-from cassandra_ros.spool.segment_writer import SegmentWriter
-from cassandra_ros.spool.spool_folder import RunFolder
-from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel, TopicTotal
-from cassandra_ros.tables.directory import Lengths
-from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.store.connection.driver_errors import is_denied
+from cassandra_ros.store.tables.directory import Lengths
+from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter

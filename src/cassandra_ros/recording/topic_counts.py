@@ -14,7 +14,7 @@ from typing import Iterable, Mapping, Sequence
 
 from cassandra_ros.recording.losses import LossLog, LossTotal
 from cassandra_ros.recording.message_buffer import Feed
-from cassandra_ros.tables.registry import LossKind
+from cassandra_ros.store.tables.registry import LossKind
 
 _log = logging.getLogger(__name__)
 

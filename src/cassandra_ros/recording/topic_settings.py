@@ -20,7 +20,7 @@ from cassandra_ros.arguments import (
     check_text,
 )
 from cassandra_ros.errors import CassandraRosError, InvalidOption, InvalidQuery
-from cassandra_ros.formats.table import format_class
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.stamps import seconds_to_ns
 from cassandra_ros.query.tree.parse import parse_condition, terms_of_condition
 from cassandra_ros.query.tree.syntax import TIMED, InEvent, Literal, TimeNs, inside, leaves

@@ -18,16 +18,16 @@ from cassandra_ros.arguments import (
     check_text,
     check_user_keys,
 )
-from cassandra_ros.arrays.arrow_batches import ArrowSchema, read_batches
-from cassandra_ros.arrays.arrow_types import wanted_columns
-from cassandra_ros.arrays.field_arrays import FieldArray, as_arrays, as_frame, gather_fields
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
-from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.installation import optional_module
 from cassandra_ros.keys import Position
+from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.printable import public_names
+from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_batches
+from cassandra_ros.query.arrays.arrow_types import wanted_columns
+from cassandra_ros.query.arrays.field_arrays import FieldArray, as_arrays, as_frame, gather_fields
 from cassandra_ros.read import Chooser, Columns, Named, Read, Whose
 from cassandra_ros.topics.descriptions import topic_html, topic_line
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index

@@ -17,7 +17,6 @@ from operator import attrgetter
 from typing import Iterable, Iterator, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes, check_topic, check_topics, spellings
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import (
     CassandraRosError,
     DefinitionError,
@@ -26,15 +25,16 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
-from cassandra_ros.formats.table import format_class
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.ros_master import topic_type
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
-from cassandra_ros.tables.directory import STALE_SEC
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.tables.directory import STALE_SEC
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.event_finder import EventChoice, EventRule
 from cassandra_ros.topics.event_times import Reads

@@ -9,8 +9,8 @@ from typing import Callable, Iterable, Sequence
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import Listing, html_table, shown
-from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.stored_totals import TopicInfo, describe
 from cassandra_ros.topics.topic_table import TopicTable
 

@@ -22,7 +22,7 @@ from cassandra_ros.messages.stamps import SECONDS_BELOW, Length, Time, duration_
 from cassandra_ros.query import protocols
 from cassandra_ros.query.rows.name_resolution import like_test
 from cassandra_ros.read import ALWAYS, EVERYBODY, LAST_NS, Read, TimeRange, Whose
-from cassandra_ros.tables.event_table import ALL_NAMES, Event, EventTable, Names
+from cassandra_ros.store.tables.event_table import ALL_NAMES, Event, EventTable, Names
 from cassandra_ros.topics.event_times import EventTimes, merged_events
 from cassandra_ros.topics.run_finder import RunName, Runs
 

@@ -18,8 +18,8 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import NAMED_FORMATS, split_seq
 from cassandra_ros.messages.index_field import IndexField, nearest_fields
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.store.backfill import Backfill, ShadowUpdate, WrittenRow
-from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, Directory
+from cassandra_ros.store.rows.backfill import Backfill, ShadowUpdate, WrittenRow
+from cassandra_ros.store.tables.directory import STALE_SEC, BucketRow, BucketTotals, Directory
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_adder import MessageAdder
 from cassandra_ros.topics.stored_row import read_wire

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 from typing import Callable, Sequence
 
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.read import Whose
-from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.event_table import EventTable
-from cassandra_ros.tables.index_changes import IndexChanges
-from cassandra_ros.tables.place_index import PlaceIndex
-from cassandra_ros.tables.registry import Registry
-from cassandra_ros.tables.schema import Schema
-from cassandra_ros.tables.side_tables import SideTables
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.event_table import EventTable
+from cassandra_ros.store.tables.index_changes import IndexChanges
+from cassandra_ros.store.tables.place_index import PlaceIndex
+from cassandra_ros.store.tables.registry import Registry
+from cassandra_ros.store.tables.schema import Schema
+from cassandra_ros.store.tables.side_tables import SideTables
 from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.new_tables import NewTables
 from cassandra_ros.topics.row_reader import FollowingReader, RowReader

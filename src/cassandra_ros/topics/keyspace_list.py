@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Counter as Counts
 from typing import Mapping
 
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.metadata import from_comment
-from cassandra_ros.tables.side_tables import SIDE_TABLES
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.tables.side_tables import SIDE_TABLES
 
 
 @dataclass(frozen=True)

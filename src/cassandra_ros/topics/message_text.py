@@ -8,7 +8,7 @@ import json
 from base64 import b64encode
 from typing import Callable
 
-from cassandra_ros.formats.json import CassandraTopic_json
+from cassandra_ros.messages.formats.json import CassandraTopic_json
 from cassandra_ros.messages.tree.echo import echo_printer
 from cassandra_ros.messages.tree.tree_reader import Budget, tree_reader
 from cassandra_ros.query.rows.answer_bound import MAX_ANSWER_BYTES, AnswerBound

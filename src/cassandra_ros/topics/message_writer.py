@@ -24,7 +24,6 @@ from cassandra_ros.arguments import (
     check_seconds,
     check_ttl,
 )
-from cassandra_ros.blocks.block_builder import FULL, BlockBuilder, Limits
 from cassandra_ros.errors import (
     CassandraRosError,
     CorruptMessage,
@@ -34,15 +33,16 @@ from cassandra_ros.errors import (
     StoreUnavailable,
     TopicNotFound,
 )
-from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, MAX_WRITER, new_writer_id
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, read_definition
+from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.metadata import ANY_MD5, Kind, TopicMetadata, message_kind
-from cassandra_ros.store.writer import GONE, LossCallback, RowWriter, WriteStats
-from cassandra_ros.tables.registry import Run
-from cassandra_ros.tables.row_table import NewRow
+from cassandra_ros.store.blocks.block_builder import FULL, BlockBuilder, Limits
+from cassandra_ros.store.rows.writer import GONE, LossCallback, RowWriter, WriteStats
+from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.store.tables.row_table import NewRow
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import NewTable
 from cassandra_ros.topics.topic_table import TopicTable

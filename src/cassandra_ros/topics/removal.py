@@ -7,13 +7,13 @@ from __future__ import annotations
 from itertools import chain, islice
 from typing import Collection, Iterable, Sequence, Tuple, Union
 
-from cassandra_ros.blocks.block_counts import headers
-from cassandra_ros.blocks.block_deletion import BlockDeletion
 from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.read import Read, Whose
-from cassandra_ros.store.row_counts import scan_keys, scan_written
-from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.row_table import BlockKey
+from cassandra_ros.store.blocks.block_counts import headers
+from cassandra_ros.store.blocks.block_deletion import BlockDeletion
+from cassandra_ros.store.rows.row_counts import scan_keys, scan_written
+from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.row_table import BlockKey
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.row_reader import current
 from cassandra_ros.topics.stored_row import StoredRow

@@ -10,7 +10,6 @@ from itertools import islice
 from typing import Any, Callable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
-from cassandra_ros.arrays.field_arrays import ColumnChoice, ReadBlocks, ReadRows
 from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
 from cassandra_ros.messages.key_part import KeyPart
@@ -24,6 +23,7 @@ from cassandra_ros.messages.stamps import (
     other_unit,
     to_ns,
 )
+from cassandra_ros.query.arrays.field_arrays import ColumnChoice, ReadBlocks, ReadRows
 from cassandra_ros.query.source import Source
 from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
 from cassandra_ros.topics.keyspace import Keyspace

@@ -20,17 +20,17 @@ from typing import Callable, Iterable, Iterator, Sequence, TypeVar
 
 import numpy as np
 
-from cassandra_ros.arrays.stacked_values import MessageBlock
-from cassandra_ros.blocks.block_stream import BucketRead, OpenedBlock
-from cassandra_ros.blocks.codec import Unpacked
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound, TopicNotFound
 from cassandra_ros.keys import Position, RowName, is_after, writer_of
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.messages.wire.message_stacks import Int64Array, Planes, as_planes, planes_of
+from cassandra_ros.query.arrays.stacked_values import MessageBlock
 from cassandra_ros.read import Named, Read, Valued, Whose
-from cassandra_ros.store.fetch import (
+from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
+from cassandra_ros.store.blocks.codec import Unpacked
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.rows.fetch import (
     RowKey,
     beside,
     fetch_row,
@@ -40,9 +40,9 @@ from cassandra_ros.store.fetch import (
     list_names,
     versions,
 )
-from cassandra_ros.store.reader import read_blocks, read_rows
-from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.row_table import TableRow
+from cassandra_ros.store.rows.reader import read_blocks, read_rows
+from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.row_table import TableRow
 from cassandra_ros.topics.stored_row import StoredRow, chunks_ahead
 from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
 
@@ -246,7 +246,7 @@ def _left(tables: Tables) -> bool:
 
     Then the directory may have no entries of it any more, and less than everything was read. The
     same holds if a whole topic has a table that was not read. After an answer of the server this
-    includes every change acknowledged before the read began (``connection/protocol.py``).
+    includes every change acknowledged before the read began (``store/connection/protocol.py``).
     """
     return not _same(tables, current(tables))
 

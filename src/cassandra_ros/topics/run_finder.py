@@ -16,8 +16,8 @@ from cassandra_ros.arguments import check_run, spellings
 from cassandra_ros.errors import RunNotFound
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.read import Read, Writers
-from cassandra_ros.tables.context_blob import RunContext
-from cassandra_ros.tables.registry import Loss, Registry, Run
+from cassandra_ros.store.tables.context_blob import RunContext
+from cassandra_ros.store.tables.registry import Loss, Registry, Run
 
 _log = logging.getLogger(__name__)
 

@@ -12,10 +12,10 @@ from typing import Sequence
 
 from cassandra_ros.keys import writer_of
 from cassandra_ros.read import Whose
-from cassandra_ros.store.fetch import list_names
-from cassandra_ros.store.row_counts import settle
-from cassandra_ros.tables.directory import STALE_SEC, Directory
-from cassandra_ros.tables.registry import Run, SignOfLife
+from cassandra_ros.store.rows.fetch import list_names
+from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.tables.directory import STALE_SEC, Directory
+from cassandra_ros.store.tables.registry import Run, SignOfLife
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.stored_totals import buckets_of

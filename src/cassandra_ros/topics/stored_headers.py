@@ -10,7 +10,7 @@ from typing import Callable, Container, Iterator, Sequence
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.connection_header import Connection, cut_definition, join_definition
-from cassandra_ros.tables.registry import Registry, StoredHeader
+from cassandra_ros.store.tables.registry import Registry, StoredHeader
 
 MAX_KNOWN = 1024
 

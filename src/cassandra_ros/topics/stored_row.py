@@ -11,7 +11,6 @@ from collections import deque
 from contextlib import suppress
 from typing import Any, Iterable, Iterator, Sequence, Tuple, Union
 
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import (
     CassandraRosError,
     CorruptMessage,
@@ -23,8 +22,9 @@ from cassandra_ros.messages.classes import deserialize, deserialize_all
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.printable import public_names
-from cassandra_ros.store.fetch import ask_chunks, fetch_row, read_chunks
-from cassandra_ros.tables.row_table import BlockKey, SentRequest, TableRow
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.rows.fetch import ask_chunks, fetch_row, read_chunks
+from cassandra_ros.store.tables.row_table import BlockKey, SentRequest, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 MessageIdentity = Tuple[int, str, int, str]

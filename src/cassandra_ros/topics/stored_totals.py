@@ -12,10 +12,10 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
 from cassandra_ros.read import ALWAYS, EVERYBODY, Read, TimeRange, Whose
-from cassandra_ros.store.fetch import list_names
-from cassandra_ros.store.row_counts import count_part, settle
-from cassandra_ros.tables.directory import BucketRow, BucketTotals, Directory
-from cassandra_ros.tables.registry import Loss
+from cassandra_ros.store.rows.fetch import list_names
+from cassandra_ros.store.rows.row_counts import count_part, settle
+from cassandra_ros.store.tables.directory import BucketRow, BucketTotals, Directory
+from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
 

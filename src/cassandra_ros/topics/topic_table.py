@@ -11,21 +11,21 @@ from functools import lru_cache, partial
 from itertools import repeat
 from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
-from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName, InvalidQuery
-from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.classes import message_class, raw_class
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, read_definition
+from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
+from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import Kind, TopicMetadata, message_kind, type_text
 from cassandra_ros.query.protocols import Places as RobotPlaces
-from cassandra_ros.tables.row_encoder import Indexed, Shadows
-from cassandra_ros.tables.row_table import NewRow, RowTable, encode_long
-from cassandra_ros.tables.schema import Listing, Schema
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.tables.row_encoder import Indexed, Shadows
+from cassandra_ros.store.tables.row_table import NewRow, RowTable, encode_long
+from cassandra_ros.store.tables.schema import Listing, Schema
 from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache

@@ -1,8 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The viewer's HTTP server, which shows stored messages in a browser.
+"""The viewer: an HTTP server that shows stored messages in a browser, and its pictures.
 
 Each path of its API is an entry in the table ROUTES of a module ``…_routes``, with a plain function
 as its handler. The router (application.py) and the API description (openapi.py) are made from these
-tables.
+tables. ``security`` lets in; ``handler_threads`` runs handlers and sends what they return. Folders:
+
+- ``drawing/``: pictures by Pillow and matplotlib: images, contact sheets, plots over time.
+- ``mapping/``: occupancy grids of stored scans and clouds, and the poses of the sensors.
+
+In: requests of a browser. Out: JSON, pictures, files.
+This room imports files/bag/, recording/, stores/fleet/, client/ and what lies below. aiohttp,
+matplotlib and Pillow come in here.
 """

@@ -10,10 +10,10 @@ from functools import cached_property, partial
 from typing import Callable, Mapping, Sequence, TypeVar
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.client.sql.statement_processes import StatementProcesses
 from cassandra_ros.errors import InvalidKey, InvalidOption
-from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.messages.stamps import written_time_ns
-from cassandra_ros.sql.statement_processes import StatementProcesses
+from cassandra_ros.stores.fleet.fleet import Fleet
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route, Value
 from cassandra_ros.viewing.viewed_fleet import ViewedFleet

@@ -20,7 +20,7 @@ from cassandra_ros.errors import (
     StoreUnavailable,
     TransformException,
 )
-from cassandra_ros.fleet.fleet import Fleet
+from cassandra_ros.stores.fleet.fleet import Fleet
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.handler_threads import HandlerThreads
 from cassandra_ros.viewing.route import Route

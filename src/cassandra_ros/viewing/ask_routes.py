@@ -8,12 +8,11 @@ import math
 from dataclasses import replace
 from typing import Callable, Iterable, Sequence
 
-from cassandra_ros.arrays.array_types import column_types
-from cassandra_ros.arrays.envelope import Grid, Points
+from cassandra_ros.client.sql.sql_completion import complete_sql
 from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidOption, TopicNotFound
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.overview.envelopes import EnvelopeCache
-from cassandra_ros.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
+from cassandra_ros.query.arrays.array_types import column_types
+from cassandra_ros.query.arrays.envelope import Grid, Points
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.parse import parse_select
@@ -29,8 +28,9 @@ from cassandra_ros.query.tree.syntax import (
     Select,
     TimeNs,
 )
-from cassandra_ros.sql.sql_completion import complete_sql
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.envelopes import EnvelopeCache
+from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall

@@ -8,9 +8,9 @@ from datetime import datetime
 from typing import Iterable, Sequence
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.fleet.fleet_topic import FleetTopic
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.stores.fleet.fleet_topic import FleetTopic
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_list import list_runs

@@ -18,8 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Callable, Iterator
 
-from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.errors import CassandraRosError, InvalidOption, StoreUnavailable
+from cassandra_ros.files.bag.message_file import MessageProgress
 from cassandra_ros.own_files import lock_own, own_folder
 
 Write = Callable[[Path, MessageProgress], None]

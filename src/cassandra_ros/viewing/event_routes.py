@@ -9,7 +9,7 @@ from typing import Iterator
 
 from cassandra_ros.errors import AccessDenied
 from cassandra_ros.read import LAST_NS, TimeRange
-from cassandra_ros.tables.event_table import Event
+from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most, shown_ns

@@ -22,30 +22,30 @@ from cassandra_ros.errors import (
     SchemaConflict,
     TopicNotFound,
 )
-from cassandra_ros.fleet.fleet import find_row
-from cassandra_ros.fleet.fleet_answer import FleetAnswer, settled, told
-from cassandra_ros.fleet.fleet_info import FleetTopicInfo, describe_topic
-from cassandra_ros.fleet.fleet_reads import (
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.query.tree.statement_completion import NameSource
+from cassandra_ros.read import EVERYBODY, Read, Whose
+from cassandra_ros.store.tables.registry import Loss, Run
+from cassandra_ros.stores.fleet.fleet import find_row
+from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer, settled, told
+from cassandra_ros.stores.fleet.fleet_info import FleetTopicInfo, describe_topic
+from cassandra_ros.stores.fleet.fleet_reads import (
     events_of,
     merged_topics,
     topic_names,
     topics_of,
     writers_of,
 )
-from cassandra_ros.fleet.fleet_row import FleetRow, merged_rows
-from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic, topic_of
-from cassandra_ros.messages.definition import Definition
-from cassandra_ros.overview.latched_messages import is_latched, publisher_of
-from cassandra_ros.overview.latest_messages import (
+from cassandra_ros.stores.fleet.fleet_row import FleetRow, merged_rows
+from cassandra_ros.stores.fleet.fleet_topic import FleetTopic, find_topic, topic_of
+from cassandra_ros.topics.overview.latched_messages import is_latched, publisher_of
+from cassandra_ros.topics.overview.latest_messages import (
     TRANSFORMS,
     TRANSFORMS_NS,
     Latest,
     sources_at,
 )
-from cassandra_ros.overview.plot_series import SeriesRequest, read_rows_series
-from cassandra_ros.query.tree.statement_completion import NameSource
-from cassandra_ros.read import EVERYBODY, Read, Whose
-from cassandra_ros.tables.registry import Loss, Run
+from cassandra_ros.topics.overview.plot_series import SeriesRequest, read_rows_series
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.viewing import (

@@ -19,8 +19,8 @@ from typing import Callable, Iterator, TypeVar
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
+from cassandra_ros.client.sql.statement_processes import AT_ONCE
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
-from cassandra_ros.sql.statement_processes import AT_ONCE
 from cassandra_ros.viewing.answers import Bytes, CachedFile, Stream, json_bytes
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.file_answer import send_file

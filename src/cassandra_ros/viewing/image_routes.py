@@ -8,7 +8,6 @@ import json
 from types import MappingProxyType
 from typing import Callable, Mapping
 
-from cassandra_ros.drawing.images import jpeg_of
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import Position, RowName, decode_cursor, encode_cursor
 from cassandra_ros.messages.stamps import Stamp
@@ -17,6 +16,7 @@ from cassandra_ros.topics.row_finder import AnyKey
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.viewing.answers import Bytes, Json
 from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.drawing.images import jpeg_of
 from cassandra_ros.viewing.route import Parameter, Route
 
 MAX_WIDTH = 16_384

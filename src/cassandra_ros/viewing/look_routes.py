@@ -15,13 +15,13 @@ from functools import partial
 from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence, TypeVar
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
-from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import SECOND_NS, decode_cursor
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.overview.latest_messages import Latest
-from cassandra_ros.overview.timeline.lanes import Lane, Picture, View
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
+from cassandra_ros.stores.fleet.fleet_row import FleetRow
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.latest_messages import Latest
+from cassandra_ros.topics.overview.timeline.lanes import Lane, Picture, View
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, Stream

@@ -13,7 +13,7 @@ from typing import Iterable, Iterator, Mapping
 
 from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.read import Read
-from cassandra_ros.tables.registry import Loss, Run
+from cassandra_ros.store.tables.registry import Loss, Run
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most

@@ -24,10 +24,10 @@ from functools import lru_cache
 from typing import Iterable, Iterator, Mapping
 
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
-from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import encode_cursor
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Constant, Field
+from cassandra_ros.stores.fleet.fleet_row import FleetRow
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Callable
 
-from cassandra_ros.overview.stored_ends import Ends, far_outside, wrong_unit
+from cassandra_ros.topics.overview.stored_ends import Ends, far_outside, wrong_unit
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Route

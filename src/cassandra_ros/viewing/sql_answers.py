@@ -12,19 +12,19 @@ from typing import Any, ContextManager, Iterator, Sequence
 
 import numpy as np
 
-from cassandra_ros.arrays.arrow_types import load_arrow
-from cassandra_ros.errors import AnswerTooLarge, InvalidOption
-from cassandra_ros.query.plan.pushdown import Watch
-from cassandra_ros.query.tree.json_values import to_json
-from cassandra_ros.sql.python_values import printable_value, python_rows
-from cassandra_ros.sql.sql_series import (
+from cassandra_ros.client.sql.python_values import printable_value, python_rows
+from cassandra_ros.client.sql.sql_series import (
     SqlSeries,
     is_time_type,
     read_sql_series,
     time_column,
     times_of,
 )
-from cassandra_ros.sql.statement_processes import SqlAnswer, Statement
+from cassandra_ros.client.sql.statement_processes import SqlAnswer, Statement
+from cassandra_ros.errors import AnswerTooLarge, InvalidOption
+from cassandra_ros.query.arrays.arrow_types import load_arrow
+from cassandra_ros.query.plan.pushdown import Watch
+from cassandra_ros.query.tree.json_values import to_json
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.lossless_json import Cells

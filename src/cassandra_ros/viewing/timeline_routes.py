@@ -6,16 +6,16 @@ from __future__ import annotations
 
 from typing import Iterable, Sequence
 
-from cassandra_ros.overview.timeline.lanes import Lane, Picture, RunSpan, Timeline, View
-from cassandra_ros.overview.timeline.time_cells import (
+from cassandra_ros.read import Whose
+from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.timeline.lanes import Lane, Picture, RunSpan, Timeline, View
+from cassandra_ros.topics.overview.timeline.time_cells import (
     MAX_CELLS,
     Scale,
     runs_of_cells,
     time_ranges_of_cells,
 )
-from cassandra_ros.read import Whose
-from cassandra_ros.tables.registry import Run
-from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import shown_ns

@@ -10,14 +10,14 @@ from dataclasses import replace
 from typing import Mapping, Sequence
 
 from cassandra_ros.arguments import spellings
-from cassandra_ros.fleet.fleet import Fleet
-from cassandra_ros.fleet.fleet_answer import FleetAnswer
-from cassandra_ros.fleet.fleet_topic import find_topic
-from cassandra_ros.overview.stored_ends import Ends, widest
-from cassandra_ros.overview.timeline.lanes import Picture, Timeline, View, window_of
-from cassandra_ros.overview.timeline.merged_pictures import merged_extent, merged_picture
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
+from cassandra_ros.stores.fleet.fleet import Fleet
+from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
+from cassandra_ros.stores.fleet.fleet_topic import find_topic
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.stored_ends import Ends, widest
+from cassandra_ros.topics.overview.timeline.lanes import Picture, Timeline, View, window_of
+from cassandra_ros.topics.overview.timeline.merged_pictures import merged_extent, merged_picture
 
 
 class ViewedFleet:

@@ -9,7 +9,7 @@ from typing import Callable, TypeVar, cast
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.fleet.fleet import Fleet
+from cassandra_ros.stores.fleet.fleet import Fleet
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")

@@ -16,7 +16,7 @@ from aiohttp import web
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.fleet.fleet import Fleet
+from cassandra_ros.stores.fleet.fleet import Fleet
 from cassandra_ros.viewing.application import make_application
 from cassandra_ros.viewing.clients import Clients
 from cassandra_ros.viewing.fleet_routes import FLEET_ROUTES

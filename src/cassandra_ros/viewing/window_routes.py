@@ -19,16 +19,16 @@ from functools import partial
 from pathlib import Path
 from typing import Iterator, Mapping
 
-from cassandra_ros.bag.exporter import export_bag, why_empty
-from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, MessageNotFound
+from cassandra_ros.files.bag.exporter import export_bag, why_empty
+from cassandra_ros.files.bag.message_file import MessageProgress
 from cassandra_ros.messages.stamps import Stamp, iso_time
-from cassandra_ros.overview.content_version import content_version
-from cassandra_ros.overview.latched_messages import latched_before
-from cassandra_ros.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.read import Nodes, Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.content_version import content_version
+from cassandra_ros.topics.overview.latched_messages import latched_before
+from cassandra_ros.topics.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.topics.row_finder import Where, range_between
 from cassandra_ros.viewing.answers import Answer, CachedFile, Stream
 from cassandra_ros.viewing.api_call import ApiCall

@@ -37,7 +37,7 @@ from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.upkeep.store_check import CheckReport
+    from cassandra_ros.topics.upkeep.store_check import CheckReport
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,7 +24,7 @@ from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.printable import shown
 
 

@@ -19,7 +19,7 @@ from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.copying.copy_status import TopicStatus
+    from cassandra_ros.stores.copying.copy_status import TopicStatus
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print a table by target and topic."""
-    from cassandra_ros.copying.copy_status import copy_status
+    from cassandra_ros.stores.copying.copy_status import copy_status
 
     with open_store(options) as ros_cas:
         found = copy_status(ros_cas.catalog, stored_topics(ros_cas.catalog, options))

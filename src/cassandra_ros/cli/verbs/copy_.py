@@ -39,7 +39,7 @@ from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.printable import shown
 
 
@@ -76,8 +76,8 @@ def run(options: argparse.Namespace) -> int:
     """Copy, and print what was copied of each topic."""
     if options.target is None:
         options.parser.error("say where to copy: --to HOST[:PORT][/KEYSPACE]")
-    from cassandra_ros.copying.replicator import Replicator
-    from cassandra_ros.copying.rules import read_rules_file
+    from cassandra_ros.stores.copying.replicator import Replicator
+    from cassandra_ros.stores.copying.rules import read_rules_file
 
     begun = time.monotonic()
     start, end = read_times(options)

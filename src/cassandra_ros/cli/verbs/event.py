@@ -41,7 +41,7 @@ from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
-    from cassandra_ros.tables.event_table import Event
+    from cassandra_ros.store.tables.event_table import Event
 
 _ACTIONS = ("add", "list", "end", "delete")
 _HEADER = ("event", "robot", "start", "end", "labels", "values", "key")

@@ -46,7 +46,7 @@ from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, to
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.exporter import ExportReport
+    from cassandra_ros.files.bag.exporter import ExportReport
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Export, and print what was written."""
-    from cassandra_ros.bag.exporter import export_bag
+    from cassandra_ros.files.bag.exporter import export_bag
 
     where, (start, end) = read_where(options), read_times(options)
     event = read_event(options)
@@ -127,7 +127,7 @@ def _tell(options: argparse.Namespace, report: ExportReport, begun: float) -> No
 
 
 def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
-    from cassandra_ros.bag.fleet_export import export_fleet
+    from cassandra_ros.files.bag.fleet_export import export_fleet
 
     if options.latched:
         told = {"--start": options.start, "--event": options.event}

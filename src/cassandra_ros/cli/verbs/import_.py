@@ -67,10 +67,10 @@ from cassandra_ros.errors import (
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.importer import ImportReport
-    from cassandra_ros.bag.message_file import MessageProgress
     from cassandra_ros.client.ros_cassandra import RosCassandra
-    from cassandra_ros.connection.outage import Outage
+    from cassandra_ros.files.bag.importer import ImportReport
+    from cassandra_ros.files.bag.message_file import MessageProgress
+    from cassandra_ros.store.connection.outage import Outage
 
 
 _OF_ONE_FILE = (
@@ -167,7 +167,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _outcomes(given: str, options: argparse.Namespace) -> list[_Outcome]:
     """Return the files of a FILE, or of a folder; print and note what cannot be read."""
-    from cassandra_ros.bag.file_formats import files_of
+    from cassandra_ros.files.bag.file_formats import files_of
 
     outcomes: list[_Outcome] = []
 
@@ -200,9 +200,9 @@ def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) 
 
 
 def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
-    from cassandra_ros.bag.file_formats import open_file
-    from cassandra_ros.bag.importer import import_bag
-    from cassandra_ros.bag.message_file import connections_of_topics, topics_of
+    from cassandra_ros.files.bag.file_formats import open_file
+    from cassandra_ros.files.bag.importer import import_bag
+    from cassandra_ros.files.bag.message_file import connections_of_topics, topics_of
 
     with open_file(path, options.salvage, options.allow_large_chunks) as reader:
         topics = topics_among(options, topics_of(reader, None), path)

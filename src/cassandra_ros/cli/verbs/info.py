@@ -53,10 +53,10 @@ from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.printable import format_duration, shown, shown_lines
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.message_sample import MessageSample
-    from cassandra_ros.overview.timeline.lanes import Picture
-    from cassandra_ros.tables.registry import Loss, LossKind, Run
+    from cassandra_ros.files.bag.message_sample import MessageSample
+    from cassandra_ros.store.tables.registry import Loss, LossKind, Run
     from cassandra_ros.topics.catalog import Catalog
+    from cassandra_ros.topics.overview.timeline.lanes import Picture
     from cassandra_ros.topics.stored_totals import TopicInfo
 
 _HEADER = ("topic", "type", "format", "node", "messages", "rate", "size", "first", "last", "bucket")
@@ -175,7 +175,7 @@ def _tell_fleet(options: argparse.Namespace) -> int:
 
 
 def _find(options: argparse.Namespace) -> _Description:
-    from cassandra_ros.overview.timeline.lanes import Timeline, View
+    from cassandra_ros.topics.overview.timeline.lanes import Timeline, View
 
     hosts, port = store_place(options)
     with open_store(options) as ros_cas:
@@ -203,7 +203,7 @@ def _find(options: argparse.Namespace) -> _Description:
 
 def _samples(catalog: Catalog, infos: Sequence[TopicInfo], run: str | None) -> list[MessageSample]:
     """Read the first messages of each topic and robot; return a sample for each of ``infos``."""
-    from cassandra_ros.bag.message_sample import MessageSample, read_samples
+    from cassandra_ros.files.bag.message_sample import MessageSample, read_samples
 
     samples: dict[tuple[str, str], dict[str, MessageSample]] = {}
     for info in infos:

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write or compare the files, and print what was done."""
-    from cassandra_ros.sql.lake import Lake
+    from cassandra_ros.client.sql.lake import Lake
 
     quiet = options.quiet or options.json
 

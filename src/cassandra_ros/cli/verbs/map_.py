@@ -51,9 +51,9 @@ from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
-    from cassandra_ros.mapping.map_builder import MadeMap
-    from cassandra_ros.mapping.occupancy import OccupancyMap
-    from cassandra_ros.mapping.sensor_poses import PoseChoice
+    from cassandra_ros.viewing.mapping.map_builder import MadeMap
+    from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
+    from cassandra_ros.viewing.mapping.sensor_poses import PoseChoice
 
 _PICTURE = ".png"
 _FILES = (_PICTURE, ".pgm", ".yaml")
@@ -118,7 +118,7 @@ def _add_poses(group: argparse._ArgumentGroup) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make the map, and write, store and publish it."""
-    from cassandra_ros.mapping.map_builder import MapOptions, makeMap
+    from cassandra_ros.viewing.mapping.map_builder import MapOptions, makeMap
 
     output = _output(options)
     (start, end), choice = read_times(options), _choice(options)
@@ -165,7 +165,7 @@ def _say(options: argparse.Namespace, line: str) -> None:
 
 def _output(options: argparse.Namespace) -> Path | None:
     """Return the file to write; refuse an invalid name before the map is made."""
-    from cassandra_ros.mapping.map_files import map_paths
+    from cassandra_ros.viewing.mapping.map_files import map_paths
 
     if not (options.output or options.store or options.publish):
         options.output = f"map{_PICTURE}"
@@ -185,8 +185,8 @@ def _output(options: argparse.Namespace) -> Path | None:
 
 
 def _choice(options: argparse.Namespace) -> PoseChoice:
-    from cassandra_ros.mapping.sensor_poses import PoseChoice
     from cassandra_ros.places.rigid import Rigid
+    from cassandra_ros.viewing.mapping.sensor_poses import PoseChoice
 
     offset = None
     if options.sensor_offset is not None or options.sensor_height is not None:
@@ -212,8 +212,8 @@ def _given(**values: Any) -> dict[str, Any]:
 
 def _save(made: OccupancyMap, output: Path) -> list[str]:
     """Write the files of a map; return their names."""
-    from cassandra_ros.drawing.map_picture import map_png
-    from cassandra_ros.mapping.map_files import save_map, write_whole
+    from cassandra_ros.viewing.drawing.map_picture import map_png
+    from cassandra_ros.viewing.mapping.map_files import save_map, write_whole
 
     try:
         if output.suffix != _PICTURE:

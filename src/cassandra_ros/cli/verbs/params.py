@@ -24,7 +24,7 @@ from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.tables.context_blob import Graph, NodeGraph, RunContext
+    from cassandra_ros.store.tables.context_blob import Graph, NodeGraph, RunContext
 
 MASTERS_OWN = ("/rosdistro", "/rosversion", "/run_id", "/roslaunch")
 

@@ -38,7 +38,7 @@ from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
-    from cassandra_ros.overview.plot_series import Series
+    from cassandra_ros.topics.overview.plot_series import Series
 
 _SIZES = range(100, 20_001)
 
@@ -80,7 +80,7 @@ def _size(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> int:
     """Run the statements, and draw their numbers."""
     from cassandra_ros.cli.results import open_output
-    from cassandra_ros.drawing.time_plot import ENDINGS, curves_of, draw_plot, draw_xy
+    from cassandra_ros.viewing.drawing.time_plot import ENDINGS, curves_of, draw_plot, draw_xy
 
     quoted(options, options.statements)
     ending = options.output.rpartition(".")[2].lower()
@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(ros_cas: RosCassandra, statement: str, options: argparse.Namespace) -> Series:
-    from cassandra_ros.overview.plot_series import MOST_PIXELS, Window
+    from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, Window
 
     start, end = read_times(options)
     pixels = options.size[0] if options.xy is None else MOST_PIXELS

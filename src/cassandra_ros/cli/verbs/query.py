@@ -155,8 +155,8 @@ def read_parameter(text: str) -> object:
 
 
 def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> int:
-    from cassandra_ros.arrays.array_types import ArrayType
     from cassandra_ros.cli.results import write
+    from cassandra_ros.query.arrays.array_types import ArrayType
 
     given = {"--explain": options.explain, "--allow-writes": options.allow_writes}
     refuse(options, {**given, "--output parquet": options.output == "parquet"})
@@ -169,8 +169,8 @@ def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> i
 
 
 def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:
-    from cassandra_ros.arrays.array_types import ArrayType, column_types
     from cassandra_ros.cli.results import write
+    from cassandra_ros.query.arrays.array_types import ArrayType, column_types
     from cassandra_ros.query.tree.parse import parse_statement
     from cassandra_ros.query.tree.syntax import Select
 

@@ -41,7 +41,7 @@ from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.upkeep.retention_rules import Retained
+    from cassandra_ros.topics.upkeep.retention_rules import Retained
 
 _FORM = "'TOPIC: CONDITION'"
 _EVENT = "event"
@@ -159,7 +159,7 @@ def _keep_under(options: argparse.Namespace) -> int:
     other = (options.max_age, options.thin, options.now, *options.keep, *options.topics)
     if options.max_size is None or any(value is not None for value in other):
         options.parser.error("--copied goes with --max-size, and with no topics or other rules")
-    from cassandra_ros.copying.quota import keep_under
+    from cassandra_ros.stores.copying.quota import keep_under
 
     with open_store(options) as ros_cas:
         uncopied = options.copied == "first"

@@ -14,7 +14,7 @@ import argparse
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.tables.role_grants import ROLES, apply_roles, role_name, role_statements
+from cassandra_ros.store.tables.role_grants import ROLES, apply_roles, role_name, role_statements
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

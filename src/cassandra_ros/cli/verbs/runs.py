@@ -20,7 +20,7 @@ from cassandra_ros.cli.terminal_text import format_table
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.tables.registry import Run
+    from cassandra_ros.store.tables.registry import Run
 
 _HEADER = ("run", "id", "robot", "kind", "start", "end", "state", "messages", "lost", "labels")
 

@@ -36,12 +36,12 @@ from cassandra_ros.cli.readers import checked
 from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, topics_among
 from cassandra_ros.errors import AccessDenied
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
+from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, FORMATS
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.size_estimate import TopicSample
     from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.files.bag.size_estimate import TopicSample
 
 _NODES = 3
 """Number of nodes of the cluster, and replication factor, for which the need is printed."""
@@ -143,8 +143,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _of_file(options: argparse.Namespace, rates: Rates) -> list[TopicSize]:
-    from cassandra_ros.bag.file_formats import open_file
-    from cassandra_ros.bag.size_estimate import sample_file
+    from cassandra_ros.files.bag.file_formats import open_file
+    from cassandra_ros.files.bag.size_estimate import sample_file
 
     with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:
         names = {connection.topic for connection in reader.connections.values()}
@@ -154,7 +154,7 @@ def _of_file(options: argparse.Namespace, rates: Rates) -> list[TopicSize]:
 
 
 def _of_store(options: argparse.Namespace, rates: Rates) -> list[TopicSize]:
-    from cassandra_ros.bag.size_estimate import sample_topic
+    from cassandra_ros.files.bag.size_estimate import sample_topic
 
     with open_store(options) as ros_cas:
         names = stored_topics(ros_cas.catalog, options)
@@ -170,7 +170,7 @@ def _of_store(options: argparse.Namespace, rates: Rates) -> list[TopicSize]:
 
 def _measurement(ros_cas: RosCassandra, keyspace: str) -> Callable[[TopicSample], float | None]:
     """Return what tells the measured bytes of a message and copy of a topic."""
-    from cassandra_ros.tables.disk_usage import disk_usage
+    from cassandra_ros.store.tables.disk_usage import disk_usage
 
     spaces = [each for each in ros_cas.getKeyspaces() if each.name == keyspace]
     copies = sum(sum(each.copies.values()) for each in spaces)
@@ -187,7 +187,7 @@ def _measurement(ros_cas: RosCassandra, keyspace: str) -> Callable[[TopicSample]
 
 
 def _size(sample: TopicSample, rates: Rates, measured: float | None) -> TopicSize:
-    from cassandra_ros.bag.size_estimate import estimate
+    from cassandra_ros.files.bag.size_estimate import estimate
     from cassandra_ros.recording.option_values import BLOCK_SEC
 
     given = (hz for pattern, hz in rates if re.fullmatch(pattern, sample.topic))

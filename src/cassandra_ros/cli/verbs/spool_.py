@@ -36,8 +36,8 @@ from cassandra_ros.errors import BagError, SpoolError
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
+    from cassandra_ros.files.spool.spool_folder import SpoolFolder
     from cassandra_ros.recording.spool_drain import LeftRun
-    from cassandra_ros.spool.spool_folder import SpoolFolder
 
 _ACTIONS = ("list", "drain", "export", "drop")
 
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do what the action says."""
-    from cassandra_ros.spool.spool_folder import SpoolFolder
+    from cassandra_ros.files.spool.spool_folder import SpoolFolder
 
     folder = SpoolFolder(Path(options.spool_dir) if options.spool_dir else None)
     if options.action == "export":
@@ -102,9 +102,9 @@ def _chosen(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
 
 def _listed(path: Path, state: str) -> _ListedRun:
     from cassandra_ros.errors import CassandraRosError
-    from cassandra_ros.spool.segment_reader import SegmentReader
-    from cassandra_ros.spool.spool_folder import run_bytes, run_files
-    from cassandra_ros.spool.spool_label import TopicTotal
+    from cassandra_ros.files.spool.segment_reader import SegmentReader
+    from cassandra_ros.files.spool.spool_folder import run_bytes, run_files
+    from cassandra_ros.files.spool.spool_label import TopicTotal
 
     total, label = TopicTotal(), None
     for file in run_files(path):
@@ -212,9 +212,9 @@ def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
 
 
 def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
-    from cassandra_ros.bag.file_formats import make_file
+    from cassandra_ros.files.bag.file_formats import make_file
+    from cassandra_ros.files.spool.message_account import read_run
     from cassandra_ros.messages.connection_header import Connection
-    from cassandra_ros.spool.message_account import read_run
 
     if len(options.runs) < 2:
         options.parser.error("export needs RUN and FILE: spool export 1398090783 rest.mcap")

@@ -30,7 +30,7 @@ from cassandra_ros.printable import shown_lines
 if TYPE_CHECKING:
     import pyarrow
 
-    from cassandra_ros.sql.sql_result import SqlResult
+    from cassandra_ros.client.sql.sql_result import SqlResult
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,9 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the statement, and write its rows."""
-    from cassandra_ros.arrays.array_types import ArrayType
     from cassandra_ros.cli.results import write, write_batches
-    from cassandra_ros.sql.python_values import printable_value
+    from cassandra_ros.client.sql.python_values import printable_value
+    from cassandra_ros.query.arrays.array_types import ArrayType
 
     check_outputs(options)
     params = [read_parameter(text) for text in options.params]

@@ -39,9 +39,9 @@ from cassandra_ros.errors import (
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.drawing.contact_sheet import Cell
-    from cassandra_ros.overview.time_sample import MessageChoice
     from cassandra_ros.topics.catalog import Catalog
+    from cassandra_ros.topics.overview.time_sample import MessageChoice
+    from cassandra_ros.viewing.drawing.contact_sheet import Cell
 
 MAX_PICTURES = 1000
 MAX_WIDTH = 2000
@@ -83,8 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Select messages, draw them, write the sheet, and print what it shows."""
-    from cassandra_ros.drawing.contact_sheet import draw_sheet
-    from cassandra_ros.drawing.picture_file import check_picture_path, save_picture
+    from cassandra_ros.viewing.drawing.contact_sheet import draw_sheet
+    from cassandra_ros.viewing.drawing.picture_file import check_picture_path, save_picture
 
     path = options.output or f"{options.topic.strip('/').replace('/', '_') or 'topic'}.png"
     count = _count(options)
@@ -138,10 +138,10 @@ def _draw(
     catalog: Catalog, topic: str, options: argparse.Namespace, count: int
 ) -> Iterator[_Thumbnail]:
     """Read and draw the messages, one after the other."""
-    from cassandra_ros.drawing.contact_sheet import Cell
-    from cassandra_ros.drawing.images import picture_of
     from cassandra_ros.messages.stamps import seconds_to_ns
-    from cassandra_ros.overview.time_sample import spaced_rows
+    from cassandra_ros.topics.overview.time_sample import spaced_rows
+    from cassandra_ros.viewing.drawing.contact_sheet import Cell
+    from cassandra_ros.viewing.drawing.images import picture_of
 
     every_ns = seconds_to_ns(options.every) if options.every else 0
     rows = spaced_rows(catalog, topic, _chosen(catalog, topic, options), count, every_ns)
@@ -155,7 +155,7 @@ def _draw(
 
 
 def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> MessageChoice:
-    from cassandra_ros.overview.time_sample import MessageChoice
+    from cassandra_ros.topics.overview.time_sample import MessageChoice
 
     start, end = read_times(options)
     where = {catalog.get(name).name: text for name, text in read_where(options).items()}

@@ -50,7 +50,7 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.comparison import VerifyReport
+    from cassandra_ros.files.bag.comparison import VerifyReport
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -119,9 +119,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> VerifyReport:
-    from cassandra_ros.bag.comparison import verify_bag, verify_content
-    from cassandra_ros.bag.file_formats import open_file
-    from cassandra_ros.bag.message_file import topics_of
+    from cassandra_ros.files.bag.comparison import verify_bag, verify_content
+    from cassandra_ros.files.bag.file_formats import open_file
+    from cassandra_ros.files.bag.message_file import topics_of
 
     (start, end), event = read_times(options), read_event(options)
     mapping = read_pairs(options, "--map", options.map)
@@ -162,7 +162,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
 
 
 def _compare_stores(options: argparse.Namespace) -> int:
-    from cassandra_ros.copying.replicator import Replicator
+    from cassandra_ros.stores.copying.replicator import Replicator
 
     if options.content or options.map or options.start or options.end or options.event:
         options.parser.error("--content, --map, --start, --end and --event go with FILE.bag")

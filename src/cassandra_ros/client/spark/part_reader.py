@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What runs in the executors: the messages of a partition, read from the store by toArrow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Iterable, Iterator, Sequence
+
+from cassandra_ros.client.spark.part_plan import Piece, SparkPartition
+from cassandra_ros.client.spark.spark_types import spark_batch, spark_schema
+from cassandra_ros.client.spark.store_login import StoreLogin
+from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.row_finder import Where
+from cassandra_ros.topics.run_finder import RunName
+
+if TYPE_CHECKING:
+    import pyarrow
+
+_EVERYTHING = Piece()
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The messages and columns of a topic that all partitions read."""
+
+    topic: str
+    fields: Sequence[str] | None
+    where: Where | None
+    run: RunName
+
+    def reader(self, topic: CassandraTopic, piece: Piece = _EVERYTHING) -> Any:
+        """Return a pyarrow.RecordBatchReader of the messages of a piece."""
+        # As Stamps, because a small integer is refused as one that may mean seconds.
+        low, high = (None if t is None else Stamp.from_ns(t) for t in (piece.low, piece.high))
+        return topic.toArrow(self.fields, low, high, self.where, piece.node, self.run)
+
+
+class PartReader:
+    """Reads parts of a topic, by their numbers; Spark sends it to the executors.
+
+    Args:
+        store: Address and login of the store.
+        selection: What is read of the topic.
+        parts: The parts.
+        schema: Schema of toArrow when the parts were planned.
+    """
+
+    def __init__(
+        self,
+        store: StoreLogin,
+        selection: Selection,
+        parts: Sequence[SparkPartition],
+        schema: pyarrow.Schema,
+    ) -> None:
+        self._store = store
+        self._selection = selection
+        self._parts = parts
+        self._schema = schema
+
+    def __call__(self, numbers: Iterable[pyarrow.RecordBatch]) -> Iterator[pyarrow.RecordBatch]:
+        """Yield the messages of the parts whose numbers come in the batches."""
+        schema = spark_schema(self._schema)
+        with self._store.open() as ros_cas:
+            topic = ros_cas.getTopic(self._selection.topic)
+            for batch in numbers:
+                for number in batch.column(0).to_pylist():
+                    for piece in self._parts[number]:
+                        for found in self._read(topic, piece):
+                            yield spark_batch(found, schema)
+
+    def _read(self, topic: CassandraTopic, piece: Piece) -> Iterator[pyarrow.RecordBatch]:
+        reader = self._selection.reader(topic, piece)
+        if reader.schema != self._schema:
+            raise StoreUnavailable(
+                f"topic {topic.name} has got another message type since the DataFrame was made: "
+                "make it anew"
+            )
+        yield from reader

@@ -1,0 +1,410 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The answer to an SQL statement, computed when it is asked for."""
+
+from __future__ import annotations
+
+import re
+import weakref
+from concurrent import futures
+from contextlib import contextmanager
+from functools import partial
+from itertools import islice
+from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar, Union
+
+from cassandra_ros.client.sql.duck_database import CONSTANT, MEMORY, DuckDatabase
+from cassandra_ros.client.sql.event_names import EVENT
+from cassandra_ros.client.sql.frame_source import FrameSource
+from cassandra_ros.client.sql.listed_tables import LISTED, listed_source
+from cassandra_ros.client.sql.needed_columns import names_column, needed_columns
+from cassandra_ros.client.sql.pushed_conditions import EVERYTHING, pushed_reads
+from cassandra_ros.client.sql.python_values import python_rows
+from cassandra_ros.client.sql.sql_explanation import SqlExplanation, explain_source
+from cassandra_ros.client.sql.sql_statement import Params, SqlStatement, TableName
+from cassandra_ros.client.sql.table_columns import TableColumns
+from cassandra_ros.client.sql.table_sources import ListSource, TopicSource
+from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidQuery, TopicNotFound
+from cassandra_ros.installation import optional_module
+from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
+from cassandra_ros.printable import MOST_ROWS, html_table
+from cassandra_ros.query.arrays.arrow_types import Wanted, load_arrow, struct_of
+from cassandra_ros.query.plan.pushdown import Watch, unwatched
+from cassandra_ros.query.tree.field_names import nearest
+from cassandra_ros.read import EVERYBODY, Whose
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.unknown_names import warn_of
+
+if TYPE_CHECKING:
+    import pyarrow
+
+Source = Union[TopicSource, ListSource, FrameSource]
+BATCH_ROWS = 4096
+"""Number of rows of a batch of the answer."""
+_LOOK_SEC = 0.1
+"""Interval at which a running statement looks whether it was cancelled, and at which one that was
+cancelled is interrupted again, s."""
+_QUOTED = re.compile(r'"((?:[^"]|"")+)"')
+_T = TypeVar("_T")
+
+
+class SqlResult:
+    """The rows of an SQL statement. Each method runs the statement anew, as now.
+
+    Iterate over it for its rows, as tuples; ``print`` shows the first ones. Ctrl-C, an exception of
+    ``watch``, or the end of an iterator stops what runs.
+
+    Args:
+        catalog: The topics.
+        text: The statement.
+        params: Values of its parameters.
+        whose: Robots and runs whose messages are read.
+        memory: Memory of DuckDB, as it writes it.
+        pushdown: Whether only the columns and messages are read that the statement may need; the
+            answer does not depend on it.
+        folder, spill: Folder for what does not fit into memory, and its maximum size, as for
+            DuckDatabase.
+        watch: Called repeatedly while the statement runs; an exception from it stops it.
+
+    Raises:
+        InvalidQuery: The statement cannot be parsed, does more than read, or names a table or
+            column that there is not. The text shows the place.
+        MissingDependency: DuckDB, sqlglot or pyarrow is not installed.
+    """
+
+    def __init__(
+        self,
+        catalog: Catalog,
+        text: str,
+        params: Params = (),
+        whose: Whose = EVERYBODY,
+        *,
+        memory: str = MEMORY,
+        pushdown: bool = True,
+        folder: str | None = None,
+        spill: str | None = None,
+        watch: Watch = unwatched,
+    ) -> None:
+        self._arrow = load_arrow("sql")
+        self._catalog = catalog
+        self._whose = whose
+        self._make_database = partial(DuckDatabase, memory, folder, spill)
+        self._pushdown = pushdown
+        self._watch = watch
+        self._statement = SqlStatement(text, params)
+        run = self._bound()
+        self._ready: _Run | None = run
+        """The run that checked the statement, for the first method that is called."""
+        weakref.finalize(self, run.close)
+        self.columns: tuple[str, ...] = tuple(run.relation.columns)
+        self.hints: list[str] = []
+        """Why no message was found by what ran last: names and frames that are not stored."""
+
+    def batches(self) -> Iterator[pyarrow.RecordBatch]:
+        """Yield the rows as record batches of pyarrow, while they are computed; at least one."""
+        with self._opened() as run:
+            reader = run.wait(lambda: run.relation.to_arrow_reader(BATCH_ROWS))
+            batch = run.wait(lambda: next(reader, None))
+            if batch is None:
+                batch = self._arrow.RecordBatch.from_pylist([], schema=reader.schema)
+            while batch is not None:
+                yield batch
+                batch = run.wait(lambda: next(reader, None))
+
+    def __iter__(self) -> Iterator[tuple[Any, ...]]:
+        for batch in self.batches():
+            yield from python_rows(self._arrow, batch)
+
+    def fetchall(self) -> list[tuple[Any, ...]]:
+        """Return all rows as tuples; times in ns are Stamps, structs dicts, arrays lists."""
+        return list(self)
+
+    def arrow(self) -> pyarrow.Table:
+        """Return all rows as a pyarrow.Table."""
+        with self._opened() as run:
+            table: pyarrow.Table = run.wait(lambda: run.relation.to_arrow_table())
+            return table
+
+    def df(self) -> Any:
+        """Return all rows as a pandas.DataFrame; times are datetime64[ns] in UTC without a zone.
+
+        Raises:
+            MissingDependency: pandas is not installed.
+        """
+        optional_module("pandas", "df")
+        with self._opened() as run:
+            return run.wait(lambda: run.relation.df())
+
+    def explain(self) -> SqlExplanation:
+        """Run the statement without keeping rows; return what was read of each topic, and the plan.
+
+        The text shows columns, times, robots, runs and conditions that bounded what was read.
+        """
+        with self._opened() as run:
+            plan = run.wait(run.relation.explain)
+            reader = run.wait(lambda: run.relation.to_arrow_reader(BATCH_ROWS))
+            returned = 0
+            while True:
+                batch = run.wait(lambda: next(reader, None))
+                if batch is None:
+                    break
+                returned += batch.num_rows
+            topics = [s for s in run.sources.values() if isinstance(s, TopicSource)]
+            return SqlExplanation(
+                self._statement.text, tuple(map(explain_source, topics)), returned, plan
+            )
+
+    def __repr__(self) -> str:
+        rows = self._first()
+        lines = [" | ".join(map(_shown, row)) for row in (self.columns, *rows[:MOST_ROWS])]
+        if len(rows) > MOST_ROWS:
+            lines.append("…")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        rows = self._first()
+        shown = [list(map(_shown, row)) for row in rows[:MOST_ROWS]]
+        return html_table(self.columns, shown, of=len(rows))
+
+    def _first(self) -> list[tuple[Any, ...]]:
+        """Return the rows that are shown, and one more."""
+        rows = iter(self)
+        try:
+            return list(islice(rows, MOST_ROWS + 1))
+        finally:
+            rows.close()  # type: ignore[attr-defined]
+
+    @contextmanager
+    def _opened(self) -> Iterator[_Run]:
+        run, self._ready = self._ready or self._bound(), None
+        try:
+            yield run
+        finally:
+            sources = (s for s in run.sources.values() if not isinstance(s, ListSource))
+            self.hints = warn_of(hint for source in sources for hint in source.hints)
+            run.close()
+
+    def _bound(self) -> _Run:
+        run = _Run(self._catalog, self._statement, self._whose, self._make_database(), self._watch)
+        try:
+            run.bind(self._pushdown)
+        except BaseException:
+            run.close()
+            raise
+        return run
+
+
+def _shown(value: object) -> str:
+    return iso_time(to_ns(value)) if is_time(value) else "NULL" if value is None else str(value)
+
+
+class _Run:
+    """One execution of a statement, in a database of its own.
+
+    DuckDB works on another thread, so that Ctrl-C and the watch of the caller reach it.
+    """
+
+    def __init__(
+        self,
+        catalog: Catalog,
+        statement: SqlStatement,
+        whose: Whose,
+        database: DuckDatabase,
+        watch: Watch,
+    ) -> None:
+        self._catalog = catalog
+        self._statement = statement
+        self._whose = whose
+        self._watch = watch
+        self._database = database
+        self._worker = futures.ThreadPoolExecutor(1, thread_name_prefix="sql")
+        self._work: futures.Future[Any] | None = None
+        """The work of DuckDB that was begun last."""
+        self._stopped = self._closed = False
+        self.sources: dict[str, Source] = {}
+        self.relation: Any = None
+
+    def bind(self, pushdown: bool) -> None:
+        """Give DuckDB the tables that the statement names, and have it check the statement."""
+        statement, connection = self._statement, self._database.connection
+        with self._errors():
+            if not self._database.is_select(statement.text, statement.pivots()):
+                raise InvalidQuery(statement.text, 0, "sql takes one SELECT; use CQL for others")
+        self._find_tables(needed_columns(statement.tree), pushdown)
+        if statement.calls("constant"):
+            constants = listed_source(load_arrow("sql"), self._catalog, "constants")
+            self.sources.setdefault("constants", constants)
+        for target, frame in statement.frames():
+            name = f"tf {target} {frame}"
+            for other in self.sources:
+                if other != name and other.lower() == name.lower():
+                    reason = f"{other} and {name} differ by case only, which SQL ignores"
+                    raise InvalidQuery(statement.text, 0, reason)
+            poses = FrameSource(self._catalog, self._whose, target, frame, self._look)
+            self.sources[name] = poses
+        for name, source in self.sources.items():
+            connection.register(name, source)
+        if statement.calls("constant"):
+            connection.execute(CONSTANT)
+        if pushdown:
+            self._push()
+        with self._errors():
+            self.relation = connection.sql(statement.text, params=statement.params or None)
+
+    def _find_tables(self, needed: Wanted | None, pushdown: bool) -> None:
+        own = self._statement.own_tables()
+        events = names_column(self._statement.tree, EVENT.lower())
+        if needed is None and not events:
+            events = next(self._catalog.keyspace.events.find(), None) is not None
+        spelled: dict[str, str] = {}
+        for table in self._statement.table_names():
+            if table.name in self.sources:
+                continue
+            if table.name.lower() in LISTED:
+                name = table.name.lower()
+                self.sources[table.name] = listed_source(load_arrow("sql"), self._catalog, name)
+                continue
+            topic = self._topic(table, may_miss=table.name.lower() in own)
+            if topic is None:
+                continue
+            other = spelled.setdefault(table.name.lower(), table.name)
+            if other != table.name:
+                reason = f"{other} and {table.name} differ by case only, which SQL ignores"
+                raise InvalidQuery(self._statement.text, table.position, reason)
+            wanted = needed if pushdown else None
+            self.sources[table.name] = TopicSource(
+                self._catalog.keyspace, topic, self._whose, wanted, self._look, events
+            )
+
+    def _topic(self, table: TableName, may_miss: bool) -> CassandraTopic | None:
+        try:
+            return self._catalog.get(table.name)
+        except TopicNotFound as exc:
+            if may_miss:
+                return None
+            raise InvalidQuery(self._statement.text, table.position, str(exc)) from exc
+
+    def _push(self) -> None:
+        topics = {n: s for n, s in self.sources.items() if isinstance(s, TopicSource)}
+        columns = {n: TableColumns(s.tables, s.has_events).find for n, s in topics.items()}
+        params = self._statement.params
+
+        def value(expression: str, names: AbstractSet[str]) -> Any:
+            numbered = not isinstance(params, dict)
+            try:
+                given = {f"p{n}": params[int(n) - 1 if numbered else n] for n in names}
+            except (LookupError, ValueError):
+                return None  # DuckDB says which parameter is missing
+            return self._database.value(expression, given)
+
+        reads = pushed_reads(self._statement.tree, columns, value)
+        for name, source in topics.items():
+            source.pushed = reads.get(name, EVERYTHING)
+
+    def _look(self) -> None:
+        if self._stopped:
+            raise InterruptedError("the statement was stopped")
+
+    def wait(self, work: Callable[[], _T]) -> _T:
+        """Do work of DuckDB on its thread and return its result; ``close`` ends the work.
+
+        Ctrl-C, or an exception of the watch, ends the waiting, not the work.
+        """
+        with self._errors():
+            future: futures.Future[_T] = self._worker.submit(work)
+            self._work = future
+            while True:
+                self._watch()
+                if futures.wait([future], _LOOK_SEC).done:
+                    return future.result()
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Raise errors of DuckDB as ours, and those of our reads as they are."""
+        try:
+            yield
+        except CassandraRosError:
+            raise
+        except Exception as exc:
+            failed = [s.error for s in self.sources.values() if s.error is not None]
+            if failed:
+                raise failed[0] from exc
+            duckdb = self._database.duckdb
+            if not isinstance(exc, (duckdb.Error, OSError)):
+                raise
+            raise self._translated(exc) from exc
+
+    def _translated(self, exc: Exception) -> CassandraRosError:
+        duckdb, text = self._database.duckdb, str(exc)
+        if isinstance(exc, duckdb.OutOfMemoryException) or "Out of Memory" in text:
+            return AnswerTooLarge(
+                "the statement needs more memory or disk space than it may use: select fewer "
+                f"columns, a shorter time range, or group its rows ({_first_line(text)})"
+            )
+        return self._invalid(text)
+
+    def _invalid(self, text: str) -> InvalidQuery:
+        reason, statement = _first_line(text), self._statement
+        named = [name.replace('""', '"') for name in _QUOTED.findall(reason)]
+        for name in named:
+            if re.search(r"not found|Could not find key", reason):
+                known = self._known_columns()
+                return InvalidQuery(
+                    statement.text,
+                    statement.position_of(name),
+                    f"there is no column {name}{nearest(name, known)}",
+                )
+        if "TIMESTAMP_NS" in reason and "cast" in reason:
+            reason += (
+                "; a time is a text in UTC, '2013-05-08 14:06:20.238582676', or of a number "
+                "make_timestamp_ns(NANOSECONDS)"
+            )
+        return InvalidQuery(statement.text, _caret(statement.text, text), reason)
+
+    def _known_columns(self) -> list[str]:
+        """Return the names of all columns of the tables, and of the fields in them."""
+        found: list[str] = []
+        for source in self.sources.values():
+            if isinstance(source, TopicSource):
+                found += [EVENT] * source.has_events
+                fields: Sequence[Any] = list(TableColumns(source.tables).schema)
+            else:
+                fields = list(source.columns)
+            while fields:
+                found += [field.name for field in fields]
+                fields = [inner for field in fields for inner in struct_of(field.type)]
+        return list(dict.fromkeys(found))
+
+    def close(self) -> None:
+        """End what runs, and release the database. Can be repeated."""
+        if self._closed:
+            return
+        self._stopped = True
+        while self._work is not None and not self._work.done():
+            # Not once: DuckDB forgets an interrupt that comes before it has begun the statement.
+            self._database.connection.interrupt()
+            futures.wait([self._work], _LOOK_SEC)
+        self._worker.shutdown(wait=True)
+        self._database.close()
+        self._closed = True
+
+
+def _first_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    first = lines[0] if lines else text
+    return re.sub(r"^[A-Z][A-Za-z ]* Error: ", "", first)
+
+
+def _caret(statement: str, text: str) -> int:
+    """Return the place in a statement that DuckDB's error points at; 0 = it points at none."""
+    found = re.search(r"^LINE (\d+): (.*)\n( *)\^", text, re.MULTILINE)
+    if found is None:
+        return 0
+    prefix = len(f"LINE {found.group(1)}: ")
+    shown, column = found.group(2), len(found.group(3)) - prefix
+    lines = statement.split("\n")
+    line = min(int(found.group(1)), len(lines)) - 1
+    begin = sum(len(each) + 1 for each in lines[:line])
+    # A long line is cut at both ends.
+    bare = shown.strip(".")
+    return begin + max(0, lines[line].find(bare)) + column - (len(shown) - len(shown.lstrip(".")))

@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The columns of a topic's table in SQL, with which a condition may compare."""
+
+from __future__ import annotations
+
+from typing import Any, Sequence
+
+from cassandra_ros.client.sql.event_names import EVENT
+from cassandra_ros.client.sql.pushed_conditions import FieldColumn
+from cassandra_ros.query.arrays.arrow_batches import ArrowSchema
+from cassandra_ros.query.arrays.arrow_types import ArrowField
+from cassandra_ros.query.protocols import Table
+
+_OWN = {"key": "key", "node": "node", "run": "run"}
+
+
+class TableColumns:
+    """All columns of a topic.
+
+    Args:
+        tables: Tables of the topic.
+        has_events: Whether it has the column EVENT.
+
+    Attributes:
+        schema: Their names and Arrow types.
+    """
+
+    def __init__(self, tables: Sequence[Table], has_events: bool = False) -> None:
+        found = ArrowSchema(tables)
+        self._own = {**_OWN, EVENT.lower(): "event"} if has_events else _OWN
+        self.schema: Any = found.schema
+        self._arrow = found.arrow
+        self._named = found.named
+        self._fields = list(found.fields.values())
+
+    def find(self, names: Sequence[str]) -> FieldColumn | None:
+        """Return a column, or a field in a message; None = no such column, or it is an array."""
+        own = self._own.get(names[0].lower()) if len(names) == 1 else None
+        if own is not None:
+            return FieldColumn("text" if self._named and own == "key" else own)
+        paths = {_path(fields, names) for fields in self._fields} - {None}
+        kind = self._kind(names)
+        if kind is None or len(paths) != 1:
+            return None
+        if kind == "text" and not all(_is_text(fields, names) for fields in self._fields):
+            return None  # in some definition the field is no string, and the column shows its text
+        return FieldColumn(kind, paths.pop() or "")
+
+    def _kind(self, names: Sequence[str]) -> str | None:
+        fields: Any = self.schema
+        kind = None
+        for name in names:
+            inside = {field.name.lower(): field for field in fields}
+            if name.lower() not in inside:
+                return None
+            kind = inside[name.lower()].type
+            fields = list(kind) if kind.num_fields and self._arrow.types.is_struct(kind) else ()
+        return None if kind is None else self._kind_of(kind)
+
+    def _kind_of(self, kind: Any) -> str | None:
+        types = self._arrow.types
+        tests = {
+            "time": types.is_timestamp,
+            "text": types.is_string,
+            "bool": types.is_boolean,
+            "int": types.is_integer,
+            "float32": types.is_float32,
+            "float64": types.is_float64,
+        }
+        return next((name for name, test in tests.items() if test(kind)), None)
+
+
+def _is_text(fields: Sequence[ArrowField], names: Sequence[str]) -> bool:
+    """Return whether a field is a string in a definition, or is not in it."""
+    for number, name in enumerate(names, 1):
+        found = next((field for field in fields if field.name.lower() == name.lower()), None)
+        if found is None:
+            return True
+        if found.field.is_array or number == len(names):
+            return found.field.base == "string" and not found.field.is_array
+        fields = found.children
+    return True
+
+
+def _path(fields: Sequence[ArrowField], names: Sequence[str]) -> str | None:
+    """Return the path of a field in the messages of one definition; None = it has no such field."""
+    path = None
+    for name in names:
+        found = next((field for field in fields if field.name.lower() == name.lower()), None)
+        if found is None or found.field.is_array:
+            return None
+        fields, path = found.children, found.path
+    return path

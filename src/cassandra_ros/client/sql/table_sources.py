@@ -1,0 +1,199 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What DuckDB scans: objects with the methods of Arrow's C stream interface.
+
+DuckDB reads such an object anew for each table in its plan, also where a table is joined with
+itself. It pushes nothing into it, so that all conditions are checked by DuckDB.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
+
+from cassandra_ros.client.sql.condition_chooser import ConditionChooser
+from cassandra_ros.client.sql.event_names import EVENT, EventNames, has_event_field
+from cassandra_ros.client.sql.pushed_conditions import EVERYTHING, PushedRead
+from cassandra_ros.errors import InvalidName
+from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_batches
+from cassandra_ros.query.arrays.arrow_types import Wanted
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch
+from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.event_times import EventTimes
+from cassandra_ros.topics.keyspace import Keyspace
+
+if TYPE_CHECKING:
+    import pyarrow
+
+
+class TopicSource:
+    """The messages of a topic as a table.
+
+    Args:
+        keyspace: Keyspace of the topic.
+        topic: The topic.
+        whose: Robots and runs whose messages are read.
+        wanted: Columns to read; None = all.
+        watch: Called repeatedly during a read; an exception from it ends the read.
+        events: Whether there is a column EVENT, if the topic may have one.
+
+    Attributes:
+        topic: The topic.
+        schema: The columns that are made of messages.
+        columns: Names and Arrow types of the columns.
+        has_events: Whether EVENT is one of them.
+        pushed: What is read; the caller sets it when the statement is known.
+        messages: Number of messages read so far.
+        choosers: What the server checked, one for each scan.
+        error: Error that ended a read; DuckDB only knows its text.
+        hints: Why no message is found: names that are not stored.
+    """
+
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        topic: CassandraTopic,
+        whose: Whose,
+        wanted: Wanted | None,
+        watch: Watch,
+        events: bool = False,
+    ) -> None:
+        self._keyspace = keyspace
+        self._whose = whose
+        self._watch = watch
+        self.topic = topic
+        self.tables = topic.tables
+        definitions = [t.definition for t in self.tables if t.definition is not None]
+        named = any(table.named for table in self.tables)  # names do not lie in the time of events
+        self.has_events = events and not named and not has_event_field(definitions)
+        if self.has_events and wanted is not None:
+            wanted = {**wanted, "node": {}}  # events are those of a robot
+        self.schema = ArrowSchema(self.tables, wanted)
+        self.columns: pyarrow.Schema = self.schema.schema
+        if self.has_events:
+            kind = self.schema.arrow.list_(self.schema.arrow.string())
+            place = len(self.schema.own)
+            self.columns = self.columns.insert(place, self.schema.arrow.field(EVENT, kind))
+        self.pushed: PushedRead = EVERYTHING
+        self.messages = 0
+        self.choosers: list[Pushdown] = []
+        self.error: BaseException | None = None
+        self.hints: list[str] = []
+
+    def __arrow_c_schema__(self) -> Any:
+        return self.columns.__arrow_c_schema__()
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
+        reader = self.schema.arrow.RecordBatchReader.from_batches(self.columns, self.batches())
+        return reader.__arrow_c_stream__()
+
+    def read(self) -> Read | None:
+        """Return what is read; None = no message can match."""
+        pushed, whose = self.pushed, self._whose
+        if pushed.nodes is not None:
+            whose = whose.both(Whose(tuple(sorted(pushed.nodes))))
+        if pushed.runs is not None:
+            called = map(self._keyspace.runs.called, pushed.runs)
+            whose = whose.both(Whose(None, frozenset().union(*called)))
+        if pushed.empty or whose.empty:
+            return None
+        # The keys of messages with names are no times.
+        time_range = TimeRange() if self.schema.named else pushed.time_range
+        return Read(time_range, whose)
+
+    def batches(self) -> Iterator[pyarrow.RecordBatch]:
+        """Yield what is read, as record batches."""
+        try:
+            read = self.read()
+            if read is not None:
+                yield from self._batches(read)
+            if not self.messages and not self.hints:
+                self.hints += filter(None, self._unknown_names())
+        except Exception as exc:
+            self.error = exc
+            raise
+
+    def _unknown_names(self) -> Iterator[str]:
+        """Yield for each name that bounds what is read whether it is unknown; '' = it is not."""
+        pushed, runs = self.pushed, self._keyspace.runs
+        yield from map(runs.unknown_robot, sorted(pushed.nodes or ()))
+        yield from map(runs.unknown, sorted(pushed.runs or ()))
+        yield from map(self._unknown_event, sorted(pushed.events or ()))
+
+    def _unknown_event(self, name: str) -> str:
+        try:
+            return self._keyspace.events.unknown(name, like=False)
+        except InvalidName as exc:  # no event can have this name
+            return str(exc)
+
+    def _batches(self, read: Read) -> Iterator[pyarrow.RecordBatch]:
+        chooser = None
+        if self.pushed.condition is not None:
+            chooser = ConditionChooser(self.pushed.condition, self.pushed.floats, self._watch)
+            self.choosers.append(chooser.pushdown)
+        for batch in self._read_events(read, chooser):
+            self.messages += batch.num_rows
+            yield batch
+
+    def _read_events(
+        self, read: Read, chooser: ConditionChooser | None
+    ) -> Iterator[pyarrow.RecordBatch]:
+        """Yield the messages of a read, with EVENT if there is this column."""
+        if not self.has_events:
+            yield from self._read(read, chooser)
+            return
+        events, reads = self._keyspace.events.within(read.time_range), [read]
+        if self.pushed.events is not None:
+            chosen = EventTimes(event for event in events if event.name in self.pushed.events)
+            reads = chosen.reads(read)
+        names, place = EventNames(self.schema.arrow, events), len(self.schema.own)
+        for each in reads:
+            self._watch()
+            for batch in self._read(each, chooser):
+                arrays = [*batch.columns]
+                arrays.insert(place, names.column(batch))
+                yield self.schema.arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
+
+    def _read(self, read: Read, chooser: ConditionChooser | None) -> Iterator[pyarrow.RecordBatch]:
+        rows = self._keyspace.rows
+        return read_batches(
+            self.topic.name,
+            self.schema,
+            lambda columns: rows.read(self.tables, replace(read, columns=columns, chooser=chooser)),
+            lambda: rows.blocks(self.tables, replace(read, chooser=chooser)),
+            self._watch,
+        )
+
+
+class ListSource:
+    """A table of a few rows, such as the runs, made when it is read.
+
+    Args:
+        schema: Names and Arrow types of its columns.
+        rows: Returns its rows.
+    """
+
+    error: BaseException | None = None
+
+    def __init__(
+        self, arrow: Any, schema: pyarrow.Schema, rows: Callable[[], Sequence[Sequence[Any]]]
+    ) -> None:
+        self._arrow = arrow
+        self.columns = schema
+        self._rows = rows
+
+    def __arrow_c_schema__(self) -> Any:
+        return self.columns.__arrow_c_schema__()
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
+        try:
+            columns = list(zip(*self._rows())) or [()] * len(self.columns)
+        except Exception as exc:
+            self.error = exc
+            raise
+        arrays = [
+            self._arrow.array(list(values), field.type)
+            for values, field in zip(columns, self.columns)
+        ]
+        return self._arrow.Table.from_arrays(arrays, schema=self.columns).__arrow_c_stream__()

@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Count the messages of a run while its files are read, and tell those that the files miss.
+
+A file tells how many messages the run had written before it, and after each of its chunks (see
+``segment_writer``). What is missing in between is told by topic, with the time range in which it
+was received: of a damaged part, of a file that was cut short, and of a file that is not there. A
+file that was deleted because its messages are stored is not missing: the folder of the run says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Iterator
+
+from cassandra_ros.files.spool.segment_reader import Missing, SegmentPart, SegmentReader
+from cassandra_ros.files.spool.spool_folder import RunFolder
+from cassandra_ros.files.spool.spool_label import TopicTotal, Totals
+
+
+class MessageAccount:
+    """The account of a run whose files are read in the order of their numbers.
+
+    Args:
+        folder: The files of the run.
+    """
+
+    def __init__(self, folder: RunFolder) -> None:
+        self._folder = folder
+        self._settled = folder.settled()
+        self._file = 0
+        """Number of the file that was read last."""
+        self._count = _Count({})
+
+    def parts(self, reader: SegmentReader) -> Iterator[SegmentPart]:
+        """Yield the parts of the next file with messages, and what is missing before and in it."""
+        number = int(reader.path.stem)
+        settled = [each for each in range(self._file + 1, number) if each in self._settled]
+        if settled:
+            self._file = settled[-1]
+            self._count = _Count(self._settled[self._file])
+        if number > self._file + 1:
+            self._count.note(f"{self._folder.file(self._file + 1)} is missing")
+        self._file = number
+        if number not in self._settled:
+            yield from self._count.parts(reader)
+            return
+        # An earlier drain has stored the other messages of this file.
+        rest = _Count(None)
+        yield from rest.parts(reader)
+        yield from rest.finish()
+        self._count = _Count(self._settled[number])
+
+    def finish(self) -> Iterator[SegmentPart]:
+        """Yield what is missing after the last totals, when all files were read."""
+        yield from self._count.finish()
+
+    def totals(self) -> Totals:
+        """Return the messages of the run up to the end of what was read last."""
+        return _copy(self._count.totals or {})
+
+
+def read_run(folder: RunFolder) -> Iterator[SegmentPart]:
+    """Yield the messages of a run chunk by chunk, and what is missing.
+
+    Raises:
+        SpoolError: A file cannot be read.
+    """
+    account = MessageAccount(folder)
+    for path in folder.files():
+        yield from account.parts(SegmentReader(path))
+    yield from account.finish()
+
+
+class _Count:
+    """The messages of a run up to a place in its files.
+
+    Args:
+        totals: Those at the beginning; None = they are not known.
+    """
+
+    def __init__(self, totals: Totals | None) -> None:
+        self.totals = None if totals is None else _copy(totals)
+        self._path: Path | None = None
+        """The file that was read last."""
+        self._forget()
+
+    def _forget(self) -> None:
+        self._damage = ""
+        """What is damaged since the last totals; '' = nothing."""
+        self._before: Totals = {}
+        """The messages before the damage."""
+        self._listed: Totals = {}
+        """The missing messages by the message indexes."""
+        self._is_listed = True
+        """Whether the message indexes tell all that is missing."""
+
+    def note(self, damage: str) -> None:
+        """Note that something is damaged here."""
+        if not self._damage:
+            self._damage, self._before = damage, _copy(self.totals or {})
+
+    def parts(self, reader: SegmentReader) -> Iterator[SegmentPart]:
+        """Yield the parts of a file with messages, and what is missing."""
+        for part in reader.parts():
+            if part.totals is not None:
+                yield from self._compare(part.totals)
+                continue
+            if part.damage:
+                self.note(part.damage)
+            for missing in part.missing:
+                if missing.topic:
+                    total = self._listed.setdefault(missing.topic, TopicTotal())
+                    total.add(missing.messages, missing.first_ns, missing.last_ns)
+                else:
+                    self._is_listed = False
+            if self.totals is None:
+                self.totals = {}
+            for connection, t_ns, _, _ in part.messages:
+                self.totals.setdefault(connection.topic, TopicTotal()).add(1, t_ns, t_ns)
+            yield SegmentPart(part.messages, part.damage)
+        self._path = reader.path
+
+    def _compare(self, totals: Totals) -> Iterator[SegmentPart]:
+        """Yield what is missing before a place of which the totals are known; go on from there."""
+        if self.totals is None:
+            yield from self.finish()
+        else:
+            missing = [
+                self._range(topic, total, self.totals.get(topic, TopicTotal()))
+                for topic, total in totals.items()
+            ]
+            yield from self._tell([each for each in missing if each.messages > 0])
+        self.totals = _copy(totals)
+        self._forget()
+
+    def _range(self, topic: str, total: TopicTotal, mine: TopicTotal) -> Missing:
+        """Return how many messages of a topic are missing, and the range of their times."""
+        number = total.count - mine.count
+        listed = self._listed.get(topic)
+        if listed is not None and listed.count == number:
+            return Missing(topic, number, listed.first_ns, listed.last_ns)
+        before = self._before.get(topic, TopicTotal()) if self._damage else mine
+        first = before.last_ns + 1 if before.count else total.first_ns
+        return Missing(topic, number, min(first, total.last_ns), total.last_ns)
+
+    def finish(self) -> Iterator[SegmentPart]:
+        """Yield what is missing where no totals follow: by the indexes, or an unknown number."""
+        if self._damage:
+            totals = self.totals or {}
+            missing = [Missing(t, n.count, n.first_ns, n.last_ns) for t, n in self._listed.items()]
+            if not self._is_listed:
+                last = max((n.last_ns for n in totals.values()), default=0)
+                missing += [
+                    Missing(topic, 0, min(self._before.get(topic, total).last_ns, last), last)
+                    for topic, total in totals.items()
+                    if topic not in self._listed
+                ] or [Missing("", 0, 0, 0)]
+            yield from self._tell(missing)
+        self._forget()
+
+    def _tell(self, missing: list[Missing]) -> Iterator[SegmentPart]:
+        if missing:
+            topics = ", ".join(f"{n.messages or 'some'} of topic {n.topic or '?'}" for n in missing)
+            damage = self._damage or f"{self._path} is cut short"
+            yield SegmentPart(damage=f"{damage}: messages are missing, {topics}", missing=missing)
+
+
+def _copy(totals: Totals) -> Totals:
+    return {topic: replace(total) for topic, total in totals.items()}

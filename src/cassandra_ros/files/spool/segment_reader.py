@@ -1,0 +1,277 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Read a file of the spool chunk by chunk; what is damaged is told, and the rest is read.
+
+A file may end anywhere (the process was killed, the power was cut) and may be damaged anywhere.
+Each chunk has a checksum. After a damaged one reading goes on with the next record that is
+complete, and the message indexes say which messages are missing. A connection is written more than
+once; if the first ones are damaged, a later one is taken.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Iterator, NamedTuple, Sequence
+
+from cassandra_ros.errors import BagError, SpoolError
+from cassandra_ros.files.bag import mcap_records
+from cassandra_ros.files.bag.mcap_format import MAGIC, RECORD, find_messages
+from cassandra_ros.files.spool.segment_writer import SpooledMessage
+from cassandra_ros.files.spool.spool_label import (
+    END,
+    LABEL,
+    TOTALS,
+    RunEnd,
+    RunTotals,
+    SpoolLabel,
+    TopicTotal,
+    Totals,
+    from_metadata,
+    is_whole,
+)
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.store.tables.checksum import crc32
+
+_LOOK_BYTES = 64
+_RECORD = re.compile(rb"[\x06\x07\x0c\x0f].{4}\x00{4}", re.DOTALL)
+"""The first bytes of the kinds of records that a file has, of less than 4 GB."""
+
+
+class Missing(NamedTuple):
+    """Messages of one topic that cannot be read."""
+
+    topic: str
+    """'' = not known."""
+    messages: int
+    """Number of messages; 0 = not known."""
+    first_ns: int
+    """Time of reception of the first of them, ns; 0 = not known."""
+    last_ns: int
+
+
+@dataclass
+class SegmentPart:
+    """The messages of one chunk, what is missing instead of them, or totals."""
+
+    messages: Sequence[SpooledMessage] = ()
+    damage: str = ""
+    """What is damaged, in words; '' = nothing."""
+    missing: Sequence[Missing] = ()
+    """What is missing by the message indexes, which may be damaged too."""
+    totals: Totals | None = None
+    """The messages that the run had written to its files by here; None = not told here."""
+
+
+@dataclass
+class _Damage:
+    """Damage after which nothing was read yet."""
+
+    at: int
+    indexes: list[mcap_records.IndexedMessages] = field(default_factory=list)
+    to: int = 0
+
+
+class _Record(NamedTuple):
+    kind: int
+    start: int
+    stop: int
+
+
+class SegmentReader:
+    """A file of the spool, read into memory: it has some 16 MB.
+
+    Args:
+        path: The file. It may still be written: what is complete when it is opened is read.
+
+    Raises:
+        SpoolError: The file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.connections: dict[int, Connection] = {}
+        """Connections that were read so far, by channel id. A file names a connection in several
+        chunks; it stays the same object, because users know it by its id."""
+        self._searched = False
+        """Whether all chunks were searched for connections."""
+        try:
+            # The whole file, for a mapped one ends the process when its disk is removed.
+            self._data = path.read_bytes()
+        except OSError as exc:
+            raise SpoolError(f"{path} cannot be read: {exc.strerror}") from exc
+        self.nbytes = len(self._data)
+
+    def label(self) -> SpoolLabel | None:
+        """Return the label of the run; None = it is not in the file, or damaged.
+
+        Raises:
+            SpoolError: It is of a newer release.
+        """
+        for record in self._records():
+            if record.kind == mcap_records.METADATA_KIND:
+                name, values = self._metadata(record)
+                if name == LABEL and is_whole(values):
+                    return from_metadata(SpoolLabel, values, str(self.path))
+            elif record.kind == mcap_records.CHUNK_KIND:
+                break
+        return None
+
+    def end(self) -> RunEnd | None:
+        """Return the end of the run; None = it is not in this file."""
+        for record in self._records():
+            if record.kind == mcap_records.METADATA_KIND:
+                name, values = self._metadata(record)
+                if name == END and is_whole(values):
+                    return from_metadata(RunEnd, values, str(self.path))
+        return None
+
+    def totals(self) -> dict[int, TopicTotal]:
+        """Count the messages by channel id, by the message indexes alone."""
+        totals: defaultdict[int, TopicTotal] = defaultdict(TopicTotal)
+        for record in self._records():
+            if record.kind == mcap_records.INDEX_KIND:
+                listed = mcap_records.read_index(self._bytes(record))
+                if listed.times:
+                    times = listed.times
+                    totals[listed.channel].add(len(times), min(times), max(times))
+        return dict(totals)
+
+    def parts(self) -> Iterator[SegmentPart]:
+        """Yield the messages chunk by chunk, and what is missing where the file is damaged."""
+        damage: _Damage | None = None
+        whole: SegmentPart | None = None
+        at = len(MAGIC)
+        for record in self._records():
+            if record.start - RECORD.size > at:
+                damage = damage or _Damage(at)
+                damage.to = record.start - RECORD.size
+            at = record.stop
+            if record.kind == mcap_records.INDEX_KIND and damage is not None:
+                listed = mcap_records.read_index(self._bytes(record))
+                if whole is None or not self._is_of(listed, whole):
+                    damage.indexes.append(listed)
+            elif record.kind == mcap_records.METADATA_KIND:
+                totals = self._totals(record)
+                if totals is not None:
+                    if damage is not None:
+                        yield self._told(damage)
+                    damage = None
+                    yield SegmentPart(totals=totals)
+            elif record.kind == mcap_records.CHUNK_KIND:
+                if damage is not None:
+                    yield self._told(damage)
+                damage, whole = None, self._messages(record)
+                if whole is None:
+                    damage = _Damage(record.start - RECORD.size, to=record.stop)
+                else:
+                    yield whole
+            elif record.kind == mcap_records.END_KIND:
+                at = self.nbytes
+        if damage is not None:
+            yield self._told(damage)
+        if at < self.nbytes:
+            why = f"{self.path} is cut short at byte {at} of {self.nbytes}"
+            yield SegmentPart(damage=why, missing=[Missing("", 0, 0, 0)])
+
+    def _is_of(self, listed: mcap_records.IndexedMessages, whole: SegmentPart) -> bool:
+        """Return whether an index is one of a chunk that was read, though others are damaged."""
+        connection = self._connection(listed.channel)
+        return [t for each, t, _, _ in whole.messages if each is connection] == list(listed.times)
+
+    def _told(self, damage: _Damage) -> SegmentPart:
+        totals: defaultdict[str, TopicTotal] = defaultdict(TopicTotal)
+        for listed in damage.indexes:
+            connection = self._connection(listed.channel)
+            if listed.times:
+                topic = "" if connection is None else connection.topic
+                totals[topic].add(len(listed.times), min(listed.times), max(listed.times))
+        missing = [Missing(t, n.count, n.first_ns, n.last_ns) for t, n in totals.items()]
+        why = f"{self.path} is damaged from byte {damage.at} to {damage.to}"
+        return SegmentPart(damage=why, missing=missing or [Missing("", 0, 0, 0)])
+
+    def _messages(self, record: _Record) -> SegmentPart | None:
+        """Return the messages of a chunk; None = its checksum is wrong."""
+        where = f"{self.path}: the chunk at byte {record.start}"
+        content = self._content(record)
+        if content is None:
+            return None
+        try:
+            self._take_connections(content, where)
+            columns = [each.tolist() for each in find_messages(content, where)]
+        except BagError:  # right checksum, but not written by us
+            return None
+        lost: defaultdict[int, TopicTotal] = defaultdict(TopicTotal)
+        messages: list[SpooledMessage] = []
+        for channel, counter, t_ns, _, start, stop in zip(*columns):
+            connection = self._connection(channel)
+            if connection is None:
+                lost[channel].add(1, t_ns, t_ns)
+            else:
+                messages.append((connection, t_ns, counter, content[start:stop]))
+        if not lost:
+            return SegmentPart(messages)
+        why = f"{where} has messages whose definitions are damaged"
+        missing = [Missing("", n.count, n.first_ns, n.last_ns) for n in lost.values()]
+        return SegmentPart(messages, why, missing)
+
+    def _content(self, record: _Record) -> bytes | None:
+        """Return the records of a chunk; None = its checksum is wrong."""
+        content, crc = mcap_records.chunk_content(self._bytes(record))
+        return content if crc32(content) == crc else None
+
+    def _take_connections(self, content: bytes, where: str) -> None:
+        for number, connection in mcap_records.read_channels(content, where).items():
+            self.connections.setdefault(number, connection)
+
+    def _connection(self, channel: int) -> Connection | None:
+        """Return the connection of a channel; None = it is damaged wherever the file names it."""
+        connection = self.connections.get(channel)
+        if connection is None and not self._searched:
+            self._searched = True
+            for record in self._records():
+                if record.kind == mcap_records.CHUNK_KIND:
+                    content = self._content(record)
+                    with suppress(BagError):
+                        self._take_connections(content or b"", str(self.path))
+            connection = self.connections.get(channel)
+        return connection
+
+    def _totals(self, record: _Record) -> Totals | None:
+        name, values = self._metadata(record)
+        if name != TOTALS or not is_whole(values):
+            return None
+        return from_metadata(RunTotals, values, str(self.path)).totals()
+
+    def _metadata(self, record: _Record) -> tuple[str, dict[str, str]]:
+        try:
+            name, values = mcap_records.read_metadata(self._bytes(record), str(self.path))
+            return name, dict(values)
+        except BagError:
+            return "", {}
+
+    def _bytes(self, record: _Record) -> bytes:
+        return self._data[record.start : record.stop]
+
+    def _records(self) -> Iterator[_Record]:
+        """Yield the complete records up to the end of the data; damaged bytes are passed over."""
+        at, data = len(MAGIC), self._data
+        while at + RECORD.size <= self.nbytes:
+            kind, length = RECORD.unpack(data[at : at + RECORD.size])
+            start = at + RECORD.size
+            stop = start + length
+            head = data[start : start + _LOOK_BYTES]
+            after = self.nbytes - stop
+            if after < 0 or not mcap_records.is_plausible(kind, length, head, after):
+                following = _RECORD.search(data, at + 1)
+                if following is None:
+                    return
+                at = following.start()
+                continue
+            yield _Record(kind, start, stop)
+            if kind == mcap_records.END_KIND:
+                return
+            at = stop

@@ -1,0 +1,214 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One file of the spool: an MCAP to which chunks are appended.
+
+MCAP and not a bag: a chunk of MCAP has a checksum and a message has a sequence number, the counter
+of our rows, while for a bag both would be fields of our own. A message of 60 bytes takes 1.2 us of
+processor time here, 5.5 us with the library's writer of MCAP, and 2 to 3 us with our writer of
+bags; an image of 2 MB takes 0.9 ms, beside 5 to 6 ms and 6 to 8 ms. Both keep an index in memory.
+
+Each file stands alone: it begins with the label of the run, and its chunks hold the schemas and
+channels of their messages. A channel is written into the first chunk with a message of it, again
+into the next chunk, and into later ones at distances that double, so that damage costs only the
+messages of the chunks that it hits. The message indexes after a chunk tell which messages were in
+it when it is damaged. At its beginning and after chunks a file tells how many messages the run has
+written by then, by topic, so that what a damaged or missing file had is counted.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Iterable, Sequence, Tuple
+
+from cassandra_ros.files.bag import mcap_records
+from cassandra_ros.files.spool.spool_label import (
+    END,
+    LABEL,
+    TOTALS,
+    RunEnd,
+    RunTotals,
+    SpoolLabel,
+    TopicTotal,
+    Totals,
+    as_metadata,
+)
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.store.tables.checksum import crc32
+
+REPEAT_BYTES = 2 * 4096
+"""Minimum distance between the second and the third copy of a channel, bytes: a damaged page of a
+disk does not hit both."""
+TOTALS_SHARE = 8
+"""Minimum size of what is written between two records of totals, in sizes of such a record."""
+LARGE_BYTES = 1 << 18
+"""Size of a part from which it is not copied before it is written, bytes."""
+SpooledMessage = Tuple[Connection, int, int, bytes]
+"""Connection, time of reception (ns), counter in its run, serialised message."""
+
+
+@dataclass
+class _Definitions:
+    """Schemas and channels that were first written into the same chunk."""
+
+    records: list[bytes]
+    due: int = 0
+    """Size of the file from which the next chunk repeats them, bytes."""
+    distance: int = 0
+    """Distance to the copy after that, bytes; 0 = they are in fewer than two chunks."""
+    copies: int = 0
+
+    def repeated(self, size: int, least: int) -> None:
+        """Note a further copy: the next one comes at least ``least`` bytes after ``size``."""
+        self.copies += 1
+        if self.copies > 1:
+            self.distance = max(2 * self.distance, least)
+            self.due = size + self.distance
+
+
+class SegmentWriter:
+    """One file that is being written. Not thread-safe; ``sync`` may run beside ``append``.
+
+    Args:
+        path: The file, which must not exist.
+        label: The run of its messages.
+        totals: The messages in the files of the run before this one. They are counted on here; the
+            next file goes on with the same object. None = it is the only file.
+
+    Raises:
+        OSError: The disk is full, or fails.
+    """
+
+    def __init__(self, path: Path, label: SpoolLabel, totals: Totals | None = None) -> None:
+        self.path = path
+        self._totals = {} if totals is None else totals
+        self._totals_due = 0
+        """Size of the file from which the next totals are written, bytes."""
+        self.size = 0
+        """Size of the file up to its last complete record, bytes."""
+        self._numbers: dict[int, tuple[int, Connection]] = {}
+        """id of a connection → channel id, and the connection, which keeps the id from reuse."""
+        self._topics: list[str] = []
+        """Topic of each channel, in the order of their ids, which begin with 1."""
+        self._definitions: list[_Definitions] = []
+        self._definition_bytes = 0
+        """Size of all schemas and channels of the file, bytes."""
+        self._file = open(path, "xb", buffering=0, opener=_private)  # noqa: SIM115
+        try:
+            head = mcap_records.metadata(LABEL, as_metadata(label))
+            self._write([mcap_records.begin_file(), head, _record_of(self._totals)])
+        except OSError:
+            self._file.close()
+            path.unlink()
+            raise
+
+    def append(self, messages: Iterable[SpooledMessage]) -> None:
+        """Append messages as one chunk. After an OSError the file is as it was before."""
+        due = [each for each in self._definitions if each.due <= self.size]
+        parts = [record for each in due for record in each.records]
+        fresh: list[bytes] = []
+        at = sum(map(len, parts))
+        first, last = 2**63, 0
+        entries: defaultdict[int, list[int]] = defaultdict(list)
+        added: Totals = {}
+        for connection, t_ns, counter, wire in messages:
+            numbered = self._numbers.get(id(connection))
+            if numbered is None:
+                numbered = self._numbers[id(connection)] = len(self._numbers) + 1, connection
+                fresh.append(mcap_records.channel(*numbered))
+                self._topics.append(connection.topic)
+            number = numbered[0]
+            entries[number] += t_ns, at
+            parts.append(mcap_records.message_head(number, counter, t_ns, len(wire)))
+            parts.append(wire)
+            at += len(parts[-2]) + len(wire)
+            first, last = min(first, t_ns), max(last, t_ns)
+        for number, each in entries.items():
+            times = each[::2]
+            total = added.setdefault(self._topics[number - 1], TopicTotal())
+            total.add(len(times), min(times), max(times))
+        if fresh:
+            shift = sum(map(len, fresh))
+            parts[:0] = fresh
+            at += shift
+            for each in entries.values():
+                each[1::2] = [offset + shift for offset in each[1::2]]
+            # Also when the chunk cannot be written: the next one has them then.
+            self._definitions.append(_Definitions(fresh))
+            self._definition_bytes += shift
+            due.append(self._definitions[-1])
+        content = b"".join(parts)
+        chunk = mcap_records.chunk([content], at, (first, last), crc32(content))
+        indexes = [mcap_records.index(number, each) for number, each in entries.items()]
+        told = []
+        if self.size + at >= self._totals_due:
+            told.append(_record_of(_sum(self._totals, added)))
+        self._write([*chunk, *indexes, *told])
+        _add(self._totals, added)
+        if told:
+            self._totals_due = self.size + TOTALS_SHARE * len(told[0])
+        for definitions in due:
+            definitions.repeated(self.size, max(REPEAT_BYTES, 2 * self._definition_bytes))
+
+    @property
+    def connections(self) -> int:
+        """Number of connections in the file."""
+        return len(self._numbers)
+
+    def finish(self, end: RunEnd) -> None:
+        """Append the end of the run."""
+        self._write([_record_of(self._totals), mcap_records.metadata(END, as_metadata(end))])
+
+    def _write(self, parts: Sequence[bytes]) -> None:
+        written = 0
+        # Joined, small parts are one request to the system; a large one would be copied.
+        pieces = parts if max(map(len, parts)) > LARGE_BYTES else [b"".join(parts)]
+        try:
+            for piece in pieces:
+                rest = memoryview(piece)
+                while rest:
+                    done = self._file.write(rest)
+                    rest = rest[done:]
+                    written += done
+        except OSError:
+            self._file.truncate(self.size)
+            self._file.seek(self.size)
+            raise
+        self.size += written
+
+    def sync(self) -> None:
+        """Write what was appended to the disk; note in the file's time that the run is alive."""
+        os.utime(self._file.fileno())
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """End the file, so that every reader of MCAP takes it as complete, sync and close it."""
+        try:
+            with suppress(OSError):  # without room for its end it is read just as well
+                self._write([mcap_records.end_file()])
+            self.sync()
+        finally:
+            self._file.close()
+
+
+def _add(totals: Totals, added: Totals) -> None:
+    for topic, total in added.items():
+        sums = totals.setdefault(topic, TopicTotal())
+        sums.add(total.count, total.first_ns, total.last_ns)
+
+
+def _sum(totals: Totals, added: Totals) -> Totals:
+    sums = {topic: replace(total) for topic, total in totals.items()}
+    _add(sums, added)
+    return sums
+
+
+def _record_of(totals: Totals) -> bytes:
+    return mcap_records.metadata(TOTALS, as_metadata(RunTotals.of(totals)))
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)

@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The folder of the spool: one folder for each run, with a lock and numbered files.
+
+Several recorders may use one folder. Each run has its own folder in it, whose lock (flock) its
+process holds: the system lets it go when the process ends, however it ends. A folder without a
+living process is what an earlier one has left, and belongs to the first that locks it.
+
+A file whose messages are stored is deleted. The folder notes that it was, so that a file which is
+missing for another reason is told.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shutil
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Iterator
+
+from cassandra_ros.errors import SpoolError
+from cassandra_ros.files.spool.spool_label import RunTotals, Totals
+from cassandra_ros.installation import home_folder
+from cassandra_ros.own_files import lock_own, own_folder
+from cassandra_ros.store.tables.checksum import crc32
+
+_log = logging.getLogger(__name__)
+
+DEFAULT_BYTES = 2 << 30
+"""Default maximum size of all files in the folder, bytes."""
+_LOCK, _SETTLED = "lock", "settled"
+_SUFFIX = ".mcap"
+
+
+def default_folder() -> Path:
+    """Return the folder of the spool in the ROS home."""
+    return home_folder() / "spool"
+
+
+class RunFolder:
+    """The files of one run, locked by this process until ``release`` or ``remove``."""
+
+    def __init__(self, path: Path, lock: int) -> None:
+        self.path = path
+        self._lock = lock
+        self._next = 1 + max((int(each.stem) for each in self.files()), default=0)
+        self._unnoted: list[str] = []
+        """Lines that no disk has taken yet."""
+
+    def files(self) -> list[Path]:
+        """Return the files with messages, in the order in which they were written."""
+        return run_files(self.path)
+
+    def is_empty(self) -> bool:
+        """Return whether it has no file with messages; False if it cannot be read."""
+        try:
+            return not any(each.suffix == _SUFFIX for each in self.path.iterdir())
+        except OSError:
+            return False
+
+    def new_file(self) -> Path:
+        """Return the path of the next file."""
+        self._next += 1
+        return self.file(self._next - 1)
+
+    def file(self, number: int) -> Path:
+        """Return the path of the file with a number."""
+        return self.path / f"{number:06d}{_SUFFIX}"
+
+    def settle(self, path: Path, totals: Totals) -> None:
+        """Delete a file: each of its messages is stored, or told as lost.
+
+        Args:
+            totals: The messages of the run up to its end.
+        """
+        self.note_settled(path, totals)
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as exc:
+            _log.warning("%s stays, all its messages are stored: delete it (%s)", path, exc)
+        if self._unnoted:  # the disk was full: now it has room
+            self._write_notes()
+
+    def note_settled(self, path: Path, totals: Totals) -> None:
+        """Note of a file that stays that only the messages which are in it now are to be stored."""
+        text = json.dumps({"file": int(path.stem), **asdict(RunTotals.of(totals))})
+        # Each line begins anew: a full disk may have taken a part of the last one.
+        self._unnoted.append(f"\n{crc32(text.encode()):08x} {text}\n")
+        self._write_notes()
+
+    def _write_notes(self) -> None:
+        with suppress(OSError), open(self.path / _SETTLED, "a", opener=_private) as file:
+            file.write("".join(self._unnoted))
+            file.flush()
+            # Before the file is deleted: else it seems to be missing after a power cut.
+            os.fsync(file.fileno())
+            self._unnoted.clear()
+
+    def settled(self) -> dict[int, Totals]:
+        """Return the numbers of the files that were settled, and the totals at their ends.
+
+        Raises:
+            SpoolError: It cannot be read which they are.
+        """
+        path = self.path / _SETTLED
+        try:
+            lines = path.read_bytes().splitlines()
+        except FileNotFoundError:
+            return {}
+        except OSError as exc:
+            raise SpoolError(
+                f"{path}: {exc.strerror}; it says which files are stored: make it readable"
+            ) from exc
+        settled: dict[int, Totals] = {}
+        for line in lines:
+            crc, _, text = line.partition(b" ")
+            if crc == f"{crc32(text):08x}".encode():
+                values = json.loads(text)
+                settled[values["file"]] = RunTotals(values["topics"]).totals()
+        return settled
+
+    def release(self) -> None:
+        """Release the lock on the folder. A second call does nothing."""
+        lock, self._lock = self._lock, -1
+        if lock >= 0:
+            os.close(lock)
+
+    def remove(self) -> None:
+        """Delete it with all files."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        self.release()
+
+
+class SpoolFolder:
+    """The folder of all recorders of a user on this machine.
+
+    Args:
+        path: The folder; it is made when it is first needed. None = that of the ROS home.
+        max_bytes: Maximum size of all files in it, bytes.
+    """
+
+    def __init__(self, path: Path | None = None, max_bytes: int = DEFAULT_BYTES) -> None:
+        self.path = path or default_folder()
+        self.max_bytes = max_bytes
+
+    def begin(self, writer: int) -> RunFolder:
+        """Make and lock the folder of a run.
+
+        Raises:
+            SpoolError: The folder cannot be made.
+        """
+        hidden, path = self.path / f".{writer}", self.path / str(writer)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            own_folder(self.path)
+            hidden.mkdir(mode=0o700)
+            lock = _locked(hidden)
+            # Under its name only when it is locked: else others would take it for left.
+            hidden.rename(path)
+        except OSError as exc:
+            raise SpoolError(f"the spool {self.path} cannot be used: {exc}") from exc
+        if lock is None:
+            raise SpoolError(
+                f"the spool {self.path} cannot be locked: another process has its lock"
+            )
+        return RunFolder(path, lock)
+
+    def left(self) -> Iterator[RunFolder]:
+        """Yield the folders of runs whose process has ended, locked; oldest first."""
+        for path in self.runs():
+            lock = None
+            with suppress(OSError):
+                lock = _locked(path)
+            if lock is not None:
+                yield RunFolder(path, lock)
+
+    def runs(self) -> list[Path]:
+        """Return the folders of all runs, also of those that are recorded now; oldest first."""
+        try:
+            found = [each for each in self.path.iterdir() if each.name.isdigit()]
+            return sorted(found, key=lambda path: path.stat().st_ctime)
+        except OSError:
+            return []
+
+    def nbytes(self) -> int:
+        """Return the size of all files in it, bytes."""
+        return sum(run_bytes(path) for path in self.runs())
+
+
+def run_bytes(path: Path) -> int:
+    """Return the size of the files of a run, bytes."""
+    total = 0
+    for each in run_files(path):
+        with suppress(OSError):
+            total += each.stat().st_size
+    return total
+
+
+def run_files(path: Path) -> list[Path]:
+    """Return the files of a run with messages, in the order in which they were written."""
+    try:
+        found = [e for e in path.iterdir() if e.suffix == _SUFFIX and e.stem.isdigit()]
+    except OSError:
+        return []
+    return sorted(found, key=lambda each: int(each.stem))
+
+
+def _locked(path: Path) -> int | None:
+    """Lock a folder; return the file descriptor of the lock, None if another process holds it."""
+    try:
+        descriptor = lock_own(path / _LOCK)
+    except BlockingIOError:
+        return None
+    with suppress(OSError):
+        # Another process may have removed it meanwhile.
+        if (path / _LOCK).stat().st_ino == os.fstat(descriptor).st_ino:
+            return descriptor
+    os.close(descriptor)
+    return None
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)

@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a file of the spool says of its run: where the messages belong, and how the run ended."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Dict, Mapping, Sequence, TypeVar
+
+from cassandra_ros.errors import SpoolError
+
+VERSION = 1
+"""Version of the labels that this release writes, and the newest that it reads."""
+LABEL, END, TOTALS = "cassandra_ros.files.spool", "cassandra_ros.end", "cassandra_ros.totals"
+"""Names of the metadata records with a SpoolLabel, a RunEnd and RunTotals."""
+_T = TypeVar("_T", "SpoolLabel", "RunEnd", "RunTotals")
+
+
+@dataclass(frozen=True)
+class SpoolLabel:
+    """The run of the messages in a file, as far as a drain must know it."""
+
+    writer: int
+    """Writer id of the messages."""
+    run: int
+    """Writer id of the run; another one only after 2**32 messages."""
+    keyspace: str
+    address: str
+    """Hosts and port of the store, 'HOST[,HOST]:PORT'; '' = not known."""
+    begun_ns: int
+    """Time at which the run began, wall clock, ns."""
+    node: str = ""
+    """nodeID of the recorded robot."""
+    name: str = ""
+    """Name of the run."""
+    labels: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the topics, see recording/topic_settings.py."""
+    journal: bool = False
+    """Whether all messages of the run go through the spool."""
+    version: int = VERSION
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """The end of a run whose messages are not all stored."""
+
+    ended_ns: int
+    """Time of the end, wall clock, ns."""
+    stored: Mapping[str, int]
+    """Number of messages by topic that are stored when the spool is drained."""
+    lost: Mapping[str, int]
+    """Number of lost messages by topic."""
+    losses: Sequence[tuple[str, str, int, int, int]] = ()
+    """Losses that are not stored yet: topic, kind, first and last time, ns, number of messages."""
+    version: int = VERSION
+
+
+@dataclass
+class TopicTotal:
+    """The messages of a topic in one or more files."""
+
+    count: int = 0
+    first_ns: int = 2**63
+    last_ns: int = 0
+
+    def add(self, count: int, first_ns: int, last_ns: int) -> None:
+        """Count further messages."""
+        self.count += count
+        self.first_ns = min(self.first_ns, first_ns)
+        self.last_ns = max(self.last_ns, last_ns)
+
+
+Totals = Dict[str, TopicTotal]
+"""Topic → its messages in the files of a run up to some place."""
+
+
+@dataclass(frozen=True)
+class RunTotals:
+    """The messages that were written to the files of a run up to this place.
+
+    By them a reader sees how many messages the damaged and missing parts before it had.
+    """
+
+    topics: Mapping[str, Sequence[int]]
+    """Topic → number of messages, first and last time of reception, ns."""
+    version: int = VERSION
+
+    @classmethod
+    def of(cls, totals: Mapping[str, TopicTotal]) -> RunTotals:
+        """Return totals as a record."""
+        return cls({t: (n.count, n.first_ns, n.last_ns) for t, n in totals.items()})
+
+    def totals(self) -> Totals:
+        """Return the totals by topic, as objects of the caller's own."""
+        return {topic: TopicTotal(*numbers) for topic, numbers in self.topics.items()}
+
+
+def as_metadata(record: SpoolLabel | RunEnd | RunTotals) -> Mapping[str, str]:
+    """Return a label, an end or totals as the fields of a metadata record."""
+    text = json.dumps(asdict(record), sort_keys=True)
+    return {"text": text, "crc": f"{zlib.crc32(text.encode()):08x}"}
+
+
+def is_whole(metadata: Mapping[str, str]) -> bool:
+    """Return whether the checksum of a label, an end or totals is right."""
+    return metadata.get("crc") == f"{zlib.crc32(metadata.get('text', '').encode()):08x}"
+
+
+def from_metadata(kind: type[_T], metadata: Mapping[str, str], where: str) -> _T:
+    """Return the label, the end or the totals in a metadata record that is whole.
+
+    Raises:
+        SpoolError: It is of a newer release.
+    """
+    values = json.loads(metadata["text"])
+    if values.get("version", 0) > VERSION:
+        raise SpoolError(
+            f"{where} has version {values['version']}; this release of cassandra_ros reads "
+            f"versions up to {VERSION}: install a newer one to store its messages"
+        )
+    return kind(**{each.name: values[each.name] for each in fields(kind) if each.name in values})

@@ -1,0 +1,39 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The table of formats. A new format is a file in this folder and its name here.
+
+The file FORMAT.py has the class CassandraTopic_FORMAT. It is imported when the format is used: a
+program that only shows the names, as its help does, needs no numpy.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from cassandra_ros.errors import UnknownFormat
+
+if TYPE_CHECKING:
+    from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
+
+FALLBACK_FORMAT = "binary"
+"""Name of the format for topics whose definition is unusable: it needs no definition."""
+DEFAULT_FORMAT = "ros"
+
+FORMATS = ("binary", "string", "yaml", "json", "ros", "packed")
+
+
+def format_class(name: str) -> type[CassandraTopic_]:
+    """Return the class of a format; UnknownFormat: no format has this name."""
+    if not isinstance(name, str) or name not in FORMATS:
+        raise UnknownFormat(f"there is no format {name!r:.80}; formats are: {', '.join(FORMATS)}")
+    return _class_of(name)
+
+
+@lru_cache(maxsize=len(FORMATS))
+def _class_of(name: str) -> type[CassandraTopic_]:
+    found: type[CassandraTopic_] = getattr(
+        import_module(f"cassandra_ros.messages.formats.{name}"), f"CassandraTopic_{name}"
+    )
+    return found

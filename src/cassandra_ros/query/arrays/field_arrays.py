@@ -1,0 +1,263 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The fields of many messages as numpy arrays, without a Python object for each number.
+
+``as_frame`` makes a pandas.DataFrame of them. pandas and pyarrow are imported when the first one is
+made, because nothing else needs them.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Callable, Iterator, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from cassandra_ros.arguments import check_list
+from cassandra_ros.errors import InvalidQuery, TopicNotFound
+from cassandra_ros.installation import optional_module
+from cassandra_ros.query.arrays.array_types import MIXED, AnyArray, ArrayType, unite_columns
+from cassandra_ros.query.arrays.column_values import empty_values, join_values, rows_of, stack_cells
+from cassandra_ros.query.arrays.stacked_values import MessageBlock
+from cassandra_ros.query.arrays.table_values import TableValues
+from cassandra_ros.query.plan.bounds import bounds_of, with_stays
+from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.rows.name_resolution import Findings
+from cassandra_ros.query.rows.result_groups import analyse_select
+from cassandra_ros.query.source import Source
+from cassandra_ros.query.tree.expressions import INTEGER
+from cassandra_ros.query.tree.parse import parse_condition, parse_select
+from cassandra_ros.query.tree.syntax import Aggregate, KeyOperand, Select, Selected, Term
+from cassandra_ros.read import EVERYBODY, Read, Whose
+
+Where = Union[None, str, Tuple[str, Sequence[object]]]
+"""A condition, or a condition and the values of its ``?``."""
+Fields = Union[None, str, Sequence[str]]
+"""Names of fields; None = all fields."""
+ColumnChoice = Callable[[Table], Optional[Sequence[str]]]
+"""Function from a table to the names of its columns that must be read; None = all."""
+ReadRows = Callable[[ColumnChoice], Iterator[Row]]
+"""Function that reads the stored rows that satisfy the condition."""
+
+ReadBlocks = Callable[[], Optional[Iterator[MessageBlock]]]
+"""Function that reads the same messages as whole blocks, in any order. It returns None if some of
+them are not stored in whole blocks; TopicNotFound: a table was replaced during the read."""
+
+_PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
+
+
+class FieldArray(NamedTuple):
+    """The values of a field."""
+
+    kind: ArrayType
+    values: AnyArray
+    missing: AnyArray
+    """A bool for each row: the message has no such value."""
+
+
+def gather_fields(
+    topic: Source[Row],
+    fields: Fields,
+    where: Where,
+    read: ReadRows,
+    blocks: ReadBlocks | None = None,
+    *,
+    whose: Whose = EVERYBODY,
+) -> dict[str, FieldArray]:
+    """Gather fields from the rows of a topic.
+
+    Args:
+        topic: The topic.
+        fields: Fields as a SELECT statement names them, KEY, NODE and RUN included; None = all.
+        where: Condition that ``read`` applies to messages; here it selects unnested elements.
+        read: Reads the messages as rows.
+        blocks: Reads the messages as blocks, without an object for each message; None = as rows.
+        whose: The robot and the runs whose messages ``read`` returns.
+
+    Raises:
+        InvalidName: ``fields`` is not a list of names.
+        InvalidQuery: A field or the condition is malformed, or not in the topic.
+    """
+    text: Any = where
+    params: Sequence[object] = ()
+    if isinstance(where, (tuple, list)) and len(where) == 2:
+        text, params = where
+    if text is not None:
+        parse_condition(text, params)  # parsed alone, so that it cannot close the bracket around it
+    select = _with_places(_statement(topic, fields, text, params), topic.tables, whose)
+    findings = Findings(select.text)
+    tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
+    findings.check()
+    if blocks is not None and tables and all(t.takes_blocks for t in tables.values()):
+        values = _from_blocks(select, tables, blocks)
+        if values is not None:
+            return values
+        tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
+
+    def columns(table: Table) -> Sequence[str]:
+        known = tables.get(table.name)
+        return table.columns if known is None else known.needed
+
+    number, latest = 0, ""
+    for row in read(columns):
+        name = row.table.name
+        if name not in tables:  # the table was created during the read
+            tables[name] = TableValues(select, row.table, Findings(select.text))
+        if latest and (number or name != latest):
+            number += 1
+        latest = name
+        tables[name].add(row, number)
+    for table in tables.values():
+        table.flush()
+    return _join_tables(select, list(tables.values()))
+
+
+def _from_blocks(
+    select: Select, tables: Mapping[str, TableValues], blocks: ReadBlocks
+) -> dict[str, FieldArray] | None:
+    """Gather fields from blocks; None: they must be read as rows."""
+    read = blocks()
+    if read is None:
+        return None
+    try:
+        for block in read:
+            if block.table.name not in tables:  # the table was created during the read
+                return None
+            tables[block.table.name].add_block(block)
+    except TopicNotFound:
+        return None
+    for table in tables.values():
+        table.flush()
+    return _join_tables(select, list(tables.values()))
+
+
+def as_arrays(fields: dict[str, FieldArray]) -> dict[str, AnyArray]:
+    """Return gathered fields as arrays; a field with missing values as a masked array.
+
+    ``fields`` is emptied, which frees each column after its conversion: only one exists twice.
+    """
+    return {name: _masked(*fields.pop(name)) for name in list(fields)}
+
+
+def _masked(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
+    many = values.ndim > 1
+    if kind.depth == 1 and not many and not missing.any():
+        # Stacked only here, where all messages are known: the shape must not depend on one batch.
+        return stack_cells(values, kind)
+    if not missing.any() or (values.dtype.kind == "O" and not many):
+        return values
+    mask = np.broadcast_to(missing[:, None], values.shape) if many else missing
+    masked: AnyArray = np.ma.MaskedArray(values, mask)  # type: ignore[no-untyped-call]
+    return masked
+
+
+def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
+    """Return a statement whose NEAR and EVENT conditions know their times."""
+    bounds = bounds_of(select, Read(whose=whose), tables)
+    return with_stays(select, tables, bounds.read)
+
+
+def _statement(
+    topic: Source[Row], fields: Fields, where: str | None, params: Sequence[object]
+) -> Select:
+    """Return the statement that selects these fields."""
+    names = ["*"] if fields is None else check_list("fields", fields, "['linear.x']")
+    for field in names:
+        if not isinstance(field, str):
+            raise InvalidQuery(str(field), 0, f"a field is text, not {type(field).__name__}")
+    name = topic.name
+    shown = name if _PLAIN_TOPIC.fullmatch(name) else '"' + name.replace('"', '""') + '"'
+    # On lines of their own: so no comment hides what follows, and errors show only the user's line.
+    text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
+    select = parse_select(text if where is None else f"{text} WHERE (\n{where}\n)", params)
+    if select.distinct:
+        reason = "DISTINCT stands in a statement, not before fields; executeCQL answers it"
+        raise InvalidQuery(select.text, len("SELECT "), reason)
+    tables = topic.tables
+    select = analyse_select(select, tables)
+    called: dict[str, Term] = {}
+    for column in select.columns or ():
+        what = column.what
+        if isinstance(what, Aggregate):
+            reason = f"{what.text} is one value, no field; executeCQL answers it"
+            raise InvalidQuery(select.text, what.position, reason)
+        other = called.setdefault(column.text, what)
+        if other.text != what.text:
+            reason = f"both {what.text} and {other.text} are called {column.text}"
+            raise InvalidQuery(select.text, what.position, reason)
+    return select
+
+
+def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
+    if not tables:  # the topic has no message type yet
+        columns = select.columns or (Selected(KeyOperand(0)),)
+        kinds = {c.text: "time" if isinstance(c.what, KeyOperand) else MIXED for c in columns}
+        return {
+            n: FieldArray(ArrayType(k), *empty_values(ArrayType(k), 0)) for n, k in kinds.items()
+        }
+    filled = [table for table in tables if table.count]
+    places = [place for table in filled for place in table.places]
+    order = _order_of(places) if places else None
+    if len(filled) > 1 and not places:
+        order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
+    found = {}
+    for name, kind in dict(unite_columns([table.groups for table in tables])).items():
+        values, missing = join_values([table.take(name, kind) for table in filled], kind)
+        if order is not None:
+            values, missing = values[order], missing[order]
+        if kind.kind == INTEGER:
+            kind, values = _as_int64(values, missing)
+        found[name] = FieldArray(kind, values, missing)
+    return found
+
+
+def _as_int64(values: AnyArray, missing: AnyArray) -> tuple[ArrayType, AnyArray]:
+    """Return computed integers as int64, or as Python integers if one does not fit."""
+    try:
+        return ArrayType("int64"), np.where(missing, 0, values).astype(np.int64)
+    except OverflowError:
+        return ArrayType(MIXED), values
+
+
+def _order_of(places: Sequence[MessageBlock]) -> AnyArray | None:
+    """Return the order by time, node, _seq and table; None if they are already in order."""
+    times = np.concatenate([place.times for place in places])
+    if (times[1:] > times[:-1]).all():
+        return None
+    counts = [len(place.times) for place in places]
+    nodes, tables = (
+        np.repeat(np.unique(names, return_inverse=True)[1], counts)
+        for names in ([p.node for p in places], [p.table.name for p in places])
+    )
+    order: AnyArray = np.lexsort((tables, np.concatenate([p.seqs for p in places]), nodes, times))
+    return order
+
+
+_UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
+
+
+def as_frame(fields: dict[str, FieldArray]) -> Any:
+    """Return gathered fields, KEY among them, as a DataFrame with index KEY."""
+    pandas = optional_module("pandas", "toDataFrame")
+    key = fields.pop("KEY")
+    times = key.kind.kind == "time"
+    index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")
+    columns = {name: _series(pandas, array) for name, array in fields.items()}
+    return pandas.DataFrame(columns, index=index)
+
+
+def _series(pandas: Any, array: FieldArray) -> Any:
+    """Return the values of one column, with missing values in pandas' form for the type."""
+    kind, values, missing = array
+    if kind.depth:
+        return rows_of(values, missing)
+    if kind.kind in _UNITS:
+        values = values.view(_UNITS[kind.kind])
+        values[missing] = np.array("NaT", values.dtype)
+    elif missing.any() and values.dtype.kind in "iu":
+        return pandas.arrays.IntegerArray(values, missing)
+    elif missing.any() and values.dtype.kind == "b":
+        return pandas.arrays.BooleanArray(values, missing)
+    elif values.dtype.kind == "f":
+        values[missing] = np.nan
+    return values

@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Zones of blocks, which stand in their rows beside the bytes: no block is unpacked for them."""
+
+from __future__ import annotations
+
+from typing import Iterator, NamedTuple, Sequence
+
+from cassandra_ros.store.blocks.block_row import HEADER, BlockRow, read_block
+from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
+from cassandra_ros.store.connection.cql_names import quote_name
+from cassandra_ros.store.connection.requests import PagedRead, RawRow
+
+PAGE_BLOCKS = 5000
+AT_ONCE = 16
+"""Maximum number of blocks that one statement fetches by their keys."""
+_WIDTH = HEADER.count(",") + 1
+
+
+class BlockZones(NamedTuple):
+    """A block of which only the header and zone columns were read."""
+
+    header: BlockRow
+    values: RawRow
+    """Encoded values of the requested zone columns; None = the block has no such value."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether the zones hold for the messages that are left in the block."""
+        header = self.header
+        return header.left == header.messages and not header.odd
+
+
+def ask_bounds(part: BucketRead, columns: Sequence[str]) -> PagedRead:
+    """Request the headers of the blocks of a bucket, with some of their zone columns."""
+    return part.ask(", ".join([HEADER, *map(quote_name, columns)]), PAGE_BLOCKS)
+
+
+def read_bounds(part: BucketRead, asked: PagedRead) -> Iterator[BlockZones]:
+    """Yield the requested blocks that hold messages to be read."""
+    for values in asked.rows():
+        header = read_block(part.table, values[:_WIDTH])
+        if header is not None and part.wants(header):
+            yield BlockZones(header, values[_WIDTH:])
+
+
+def open_blocks(
+    part: BucketRead, headers: Sequence[BlockRow]
+) -> Iterator[tuple[BucketRead, OpenedBlock]]:
+    """Fetch and unpack blocks with known headers; blocks deleted meanwhile are left out."""
+    for n in range(0, len(headers), AT_ONCE):
+        for row in part.blocks(part.fetch(headers[n : n + AT_ONCE]).page()):
+            opened = part.open(row)
+            if opened.left:
+                yield part, opened

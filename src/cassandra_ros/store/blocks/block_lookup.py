@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Single messages from blocks by their keys, with one SELECT each."""
+
+from __future__ import annotations
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.keys import COUNTER_BITS, Position, writer_of
+from cassandra_ros.store.blocks.block_row import WHOLE, Block, read_blocks
+from cassandra_ros.store.connection.requests import PagedRead
+from cassandra_ros.store.tables.row_table import (
+    MAX_SEQ,
+    MIN_SEQ,
+    RowTable,
+    TableRow,
+    bind,
+    encode_long,
+)
+
+KEPT_BLOCKS = 16
+"""Maximum number of unpacked blocks kept while messages are found one after the other."""
+_PAGE_BLOCKS = 16
+
+
+def ask_over(table: RowTable, node: str, t: int, writer: int | None = None) -> PagedRead:
+    """Request the blocks that may hold a message of a time; writer None = of all writers.
+
+    The table's metadata limit the time range of a block, so earlier blocks are left out.
+    """
+    bucket = table.bucket_of(t)
+    first = max(t - table.metadata.span_ns, bucket * table.metadata.bucket_ns)
+    seqs = MIN_SEQ, MAX_SEQ
+    if writer is not None:
+        seqs = writer << COUNTER_BITS, ((writer + 1) << COUNTER_BITS) - 1
+    bounds = (first, t, *seqs, t)
+    values = (*table.place(node, bucket), *map(encode_long, bounds))
+    return table.send(bind(table.select_over(WHOLE), values, _PAGE_BLOCKS))
+
+
+def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> PagedRead:
+    """Request the blocks that may hold a message, or the first message of its time."""
+    t, node, seq = position[:3]
+    return ask_over(table, node, t, None if any_seq else writer_of(seq))
+
+
+def answer_one(
+    table: RowTable, position: Position, asked: PagedRead, *, any_seq: bool = False
+) -> TableRow | None:
+    """Return the row of a message in the requested blocks; None if they do not hold it.
+
+    Raises:
+        CorruptMessage: No readable block holds the message, and a block cannot be read.
+    """
+    t, node, seq = position[:3]
+    ends = ((t, MIN_SEQ), (t, MAX_SEQ)) if any_seq else ((t, seq), (t, seq))
+    found: list[TableRow] = []
+    problem: CorruptMessage | None = None
+    for row in read_blocks(table, asked.rows()):
+        try:
+            block = Block(table, node, row)
+        except CorruptMessage as exc:
+            problem = exc
+            continue
+        first = block.first(*ends)
+        found += [] if first is None else [first]
+    if problem is not None and not found:
+        raise problem
+    return min(found, default=None)
+
+
+class MessageFinder:
+    """Finds messages of one table one after the other; keeps blocks that may hold further ones."""
+
+    def __init__(self, table: RowTable) -> None:
+        self._table = table
+        self._kept: list[tuple[str, Block]] = []
+
+    def find(self, position: Position) -> TableRow | None:
+        """Return the row of a message, None if there is no such row; raises like answer_one."""
+        found = self._known(position)
+        if found is None:
+            self._read(position)
+            found = self._known(position)
+        return found
+
+    def _known(self, position: Position) -> TableRow | None:
+        t, node, seq = position[:3]
+        for number, (owner, block) in enumerate(self._kept):
+            inside = block.row.t <= t <= block.row.last
+            if owner == node and inside and writer_of(seq) == block.row.writer:
+                found = block.first((t, seq), (t, seq))
+                if found is not None:
+                    self._kept.insert(0, self._kept.pop(number))
+                    return found
+        return None
+
+    def _read(self, position: Position) -> None:
+        t, node, seq = position[:3]
+        problem: CorruptMessage | None = None
+        blocks: list[Block] = []
+        for row in read_blocks(self._table, ask_one(self._table, position, any_seq=False).rows()):
+            try:
+                blocks.append(Block(self._table, node, row))
+            except CorruptMessage as exc:
+                problem = exc
+        # The block with the message first: a time may have more blocks than are kept.
+        blocks.sort(key=lambda block: not len(block.between((t, seq), (t, seq))))
+        self._kept = ([(node, block) for block in blocks] + self._kept)[:KEPT_BLOCKS]
+        held = bool(blocks) and len(blocks[0].between((t, seq), (t, seq))) > 0
+        if problem is not None and not held:
+            raise problem

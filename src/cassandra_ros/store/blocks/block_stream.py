@@ -1,0 +1,610 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A read of one bucket of blocks: its messages, in order from either end.
+
+``BucketRead`` says what is read. Blocks of several writers and connections overlap. So a message is
+yielded as soon as no block that is still to be read can hold an earlier one (``WaitingRows``).
+Whole buckets are read by pages of blocks. A read of few messages or of few blocks, or one in
+descending order, first reads the headers and then the blocks in the order in which it needs them
+(``BlockQueue``).
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from dataclasses import dataclass
+from typing import Callable, Iterable, Iterator, Optional, Sequence, Tuple, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.errors import CorruptMessage, SchemaConflict
+from cassandra_ros.store.blocks.block_row import (
+    HEADER,
+    WHOLE,
+    Block,
+    BlockRow,
+    ask_blocks,
+    read_block,
+    stand_in,
+)
+from cassandra_ros.store.blocks.codec import Longs, Unpacked
+from cassandra_ros.store.connection.driver_errors import DRIVER_ERRORS, is_refused
+from cassandra_ros.store.connection.protocol import RawPage
+from cassandra_ros.store.connection.requests import PagedRead, RawRow
+from cassandra_ros.store.tables.row_table import (
+    ALL,
+    MAX_SEQ,
+    MIN_SEQ,
+    Order,
+    RowTable,
+    TableRow,
+    Terms,
+    encode_long,
+)
+
+_log = logging.getLogger(__name__)
+
+BLOCK_BYTES = 256 * 1024
+"""Assumed size of a block before the first page is read, bytes."""
+EARLY_BLOCKS = 2
+"""Number of blocks read before their headers, if the number of overlapping writers is unknown."""
+MAX_BLOCKS = 512
+"""Maximum number of blocks in a page."""
+GROWTH = 4
+"""Ratio between the sizes of two consecutive requests of a read of few messages."""
+
+Sift = Callable[[Unpacked], Optional[NDArray[np.bool_]]]
+"""Returns a mask of the messages of a block that may be wanted; None = all."""
+_Bound = Tuple[object, ...]
+
+
+@dataclass
+class BucketRead:
+    """A read of one bucket: what is read, and how.
+
+    Attributes:
+        ends: Keys of the first and the last message to read, both included.
+        writers: Writer ids whose messages are read; None = all.
+        bare: Rows are made without their bytes.
+        filters: Conditions for the server; a block must pass one of them. None = no conditions.
+        sift: Selects messages of a block after it was unpacked.
+        opened: Called for each block with its number of messages and the number that became rows;
+            None = not called.
+        wanted: Number of messages that will probably be taken; 0 = all.
+        early: Number of blocks that a read of few messages requests together with the headers.
+        page_bytes: Approximate limit of serialised bytes in memory.
+    """
+
+    table: RowTable
+    node: str
+    bucket: int
+    ends: tuple[Order, Order] = ALL
+    reverse: bool = False
+    writers: frozenset[int] | None = None
+    bare: bool = False
+    filters: Sequence[Terms] | None = None
+    sift: Sift | None = None
+    opened: Callable[[int, int], None] | None = None
+    wanted: int = 0
+    early: int = EARLY_BLOCKS
+    page_bytes: int = 2 * 1024 * 1024
+
+    def __post_init__(self) -> None:
+        self._place = self.table.place(self.node, self.bucket)
+        begin = self.bucket * self.table.metadata.bucket_ns
+        low = self.ends[0][0]
+        # An earlier block may reach into the range.
+        self.first = max(begin, low - self.table.metadata.span_ns) if low > begin else begin
+        self.reaching: Terms = (("_last", ">=", encode_long(low)),) if self.first < low else ()
+
+    def ask(
+        self, names: str, count: int, last: RawRow | None = None, terms: Terms = ()
+    ) -> PagedRead:
+        """Request ``count`` blocks a page, those after the last row that was read."""
+        low, high = self.ends
+        past = last is not None and last[0] is not None and last[0] >= encode_long(low[0])
+        reaching = () if past and not self.reverse else self.reaching
+        return self.table.select_range(
+            names,
+            self._place,
+            ((self.first, MIN_SEQ), (high[0], MAX_SEQ)),
+            terms=(*terms, *reaching),
+            page_rows=count,
+            reverse=self.reverse,
+            last=last,
+            refused=is_refused if terms else None,
+        )
+
+    def fetch(self, headers: Sequence[BlockRow]) -> PagedRead:
+        """Request blocks with known headers."""
+        return ask_blocks(self.table, self._place, [header.key for header in headers])
+
+    def blocks(self, page: Iterable[RawRow]) -> list[BlockRow]:
+        """Return the blocks of a page that may hold messages to read."""
+        found = (read_block(self.table, values) for values in page)
+        return [block for block in found if block is not None and self.wants(block)]
+
+    def wants(self, block: BlockRow) -> bool:
+        """Return whether a block may hold messages to read."""
+        written = self.writers is None or block.writer in self.writers
+        return written and block.last >= self.ends[0][0] and block.left > 0
+
+    def open(self, row: BlockRow) -> OpenedBlock:
+        """Unpack a block, select its messages to read, and report both numbers to ``opened``.
+
+        Raises:
+            CorruptMessage: The block is damaged and begins before the range, so no row stands for
+                it.
+        """
+        try:
+            block = Block(self.table, self.node, row)
+        except CorruptMessage as exc:
+            if row.key < self.ends[0]:
+                raise
+            _log.warning("%s", exc)
+            inside = self.ends[0] <= row.key <= self.ends[1]
+            return OpenedBlock(row, None, np.arange(inside))
+        places = block.between(*self.ends)
+        if self.sift is not None and block.unpacked is not None and len(places):
+            mask = self.sift(block.unpacked)
+            if mask is not None:
+                places = places[mask[places]]
+        if self.opened is not None:
+            self.opened(len(block), len(places))
+        return OpenedBlock(row, block, places)
+
+    def rows(self, opened: OpenedBlock) -> list[TableRow]:
+        """Return the rows of the remaining messages of a block, in order."""
+        if opened.block is None:
+            return [stand_in(self.table, self.node, opened.row)] * len(opened.places)
+        return opened.block.rows(opened.places, bare=self.bare) if opened.left else []
+
+
+class OpenedBlock:
+    """The messages of a block that are to be read, or of a damaged block.
+
+    Attributes:
+        row: The row of the block.
+        block: The unpacked block; None if it is damaged.
+        places: Positions of the messages that have not been made into rows yet.
+    """
+
+    size = 0
+    """Number of bytes that are still to be fetched."""
+
+    def __init__(self, row: BlockRow, block: Block | None, places: Longs) -> None:
+        self.row, self.block, self.places = row, block, places
+
+    @property
+    def left(self) -> int:
+        """Number of remaining messages."""
+        return len(self.places)
+
+    @property
+    def key(self) -> Order:
+        """Key of the first remaining message."""
+        if self.block is None:
+            return self.row.key
+        place = self.places[0]
+        return int(self.block.times[place]), int(self.block.seqs[place])
+
+    @property
+    def last(self) -> int:
+        """Key time of the last remaining message, ns."""
+        return self.row.t if self.block is None else int(self.block.times[self.places[-1]])
+
+    def take(self, count: int, *, reverse: bool) -> OpenedBlock:
+        """Take at most ``count`` messages, from the beginning or (reverse) from the end."""
+        cut = max(0, self.left - count) if reverse else min(count, self.left)
+        parts = self.places[:cut], self.places[cut:]
+        taken, self.places = parts[::-1] if reverse else parts
+        return OpenedBlock(self.row, self.block, taken)
+
+
+class WaitingRows:
+    """Sorted rows of overlapping blocks, kept until no earlier row can come."""
+
+    def __init__(self) -> None:
+        self._rows: list[TableRow] = []
+        self._sorted = True
+
+    def add(self, rows: list[TableRow]) -> None:
+        """Add the rows of a block, which are in order."""
+        if not rows:
+            return
+        if not self._rows or rows[-1] < self._rows[0]:
+            self._rows = rows + self._rows
+            return
+        self._sorted = self._sorted and self._rows[-1] < rows[0]
+        self._rows.extend(rows)
+
+    def __bool__(self) -> bool:
+        return bool(self._rows)
+
+    def _sort(self) -> None:
+        if not self._sorted:
+            self._rows.sort()  # sorted runs, which sort() merges
+            self._sorted = True
+
+    def until(self, key: Order, node: str) -> list[TableRow]:
+        """Take the rows up to a key, which is included."""
+        self._sort()
+        cut = _bisect(self._rows, (key[0], node, key[1] + 1))
+        found, self._rows = self._rows[:cut], self._rows[cut:]
+        return found
+
+    def beyond(self, t: int) -> list[TableRow]:
+        """Take the rows after a time, newest first."""
+        self._sort()
+        cut = _bisect(self._rows, (t + 1,))
+        found, self._rows = self._rows[cut:], self._rows[:cut]
+        return found[::-1]
+
+    def rest(self) -> list[TableRow]:
+        """Take all rows."""
+        self._sort()
+        found, self._rows = self._rows, []
+        return found
+
+
+def _bisect(rows: Sequence[TableRow], bound: _Bound) -> int:
+    low, high = 0, len(rows)
+    while low < high:
+        middle = (low + high) // 2
+        if rows[middle] < bound:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+def key_of(values: RawRow) -> Order:
+    """Return ``_t`` and ``_seq`` of raw values."""
+    t, seq = (int.from_bytes(value or b"", "big", signed=True) for value in values[:2])
+    return t, seq
+
+
+MAX_AT_ONCE = 100
+"""Maximum number of blocks that one statement fetches by their keys."""
+FIRST_HEADERS = 16
+"""Number of headers in the first page of a read of few messages; later pages are larger."""
+MAX_HEADERS = 5000
+FEW_ROWS = 8
+"""Minimum number of rows that are made of a block in a read of few messages."""
+
+_Item = Union[BlockRow, OpenedBlock]
+"""A block that has to be fetched, or the rest of a block of which some messages were taken."""
+
+
+class Headers:
+    """Reads the headers of the blocks of a bucket, in the order of reading, as far as needed."""
+
+    def __init__(self, part: BucketRead) -> None:
+        self._part = part
+        self._count = FIRST_HEADERS if part.wanted else MAX_HEADERS
+        self._filters = part.filters
+        if part.filters is not None:
+            self._asked = self._filtered(part.filters)
+        else:
+            self._asked = [part.ask(HEADER, self._count)]
+        # Sent together with the headers, which saves a round trip.
+        early = part.wanted and part.filters is None
+        self._early = part.ask(WHOLE, part.early) if early else None
+        self.more = bool(self._asked)
+        self.last: Order | None = None
+        """Key of the last block whose header was read."""
+        self._behind: RawRow | None = None
+
+    def take_early(self) -> PagedRead | None:
+        """Return, once, the read of the first whole blocks; None = there is no such read."""
+        early, self._early = self._early, None
+        return early
+
+    def _filtered(self, filters: Sequence[Terms]) -> list[PagedRead]:
+        try:
+            return [self._part.ask(HEADER, MAX_HEADERS, terms=terms) for terms in filters]
+        except SchemaConflict as exc:
+            return self._unfiltered(exc)
+
+    def _unfiltered(self, exc: object) -> list[PagedRead]:
+        """Read the headers of all blocks, if a server forbids filtering or is too slow at it."""
+        topic = self._part.table.metadata.topic
+        _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
+        self._filters = None
+        return [self._part.ask(HEADER, MAX_HEADERS)]
+
+    def read(self) -> list[BlockRow]:
+        """Read the next page of headers."""
+        if self._filters is not None:
+            return self._every()
+        if not self._asked:
+            self._count = min(MAX_HEADERS, GROWTH * self._count)
+            self._asked = [self._part.ask(HEADER, self._count, self._behind)]
+        asked = self._asked.pop()
+        page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
+        self.more = bool(page) and asked.more
+        if self.more:
+            self._behind, self.last = page[-1], key_of(page[-1])
+        return self._part.blocks(page)
+
+    def _every(self) -> list[BlockRow]:
+        """Read all headers that pass one of the filters, some 100 bytes a block."""
+        self.more = False
+        try:
+            rows = [row for asked in self._asked for row in asked.rows()]
+        except DRIVER_ERRORS as exc:
+            rows = list(self._unfiltered(exc)[0].rows())
+        found = {block.key: block for block in self._part.blocks(rows)}
+        return [found[key] for key in sorted(found, reverse=self._part.reverse)]
+
+
+class _Batch:
+    """Blocks that are being fetched, in the order in which they are needed.
+
+    Args:
+        wanted: Number of messages that the read takes from them; 0 = all.
+        early: A read that was sent before, which may return some of the blocks.
+    """
+
+    def __init__(
+        self, part: BucketRead, taken: list[_Item], wanted: int, early: PagedRead | None = None
+    ) -> None:
+        self._part = part
+        self.taken, self.wanted = taken, wanted
+        self._open = [item for item in taken if isinstance(item, OpenedBlock)]
+        headers = [item for item in taken if isinstance(item, BlockRow)]
+        self._here: list[BlockRow] = []
+        if early is not None:
+            keys = {header.key for header in headers}
+            self._here = [row for row in part.blocks(early.page()) if row.key in keys]
+        here = {row.key for row in self._here}
+        missing = [header for header in headers if header.key not in here]
+        self._asked = part.fetch(missing) if missing else None
+
+    def blocks(self) -> Iterator[OpenedBlock]:
+        """Yield the blocks, unpacked."""
+        yield from self._open
+        came = [] if self._asked is None else self._part.blocks(self._asked.page())
+        for row in self._here + came:
+            opened = self._part.open(row)
+            if opened.left:
+                yield opened
+
+
+class BlockQueue:
+    """The blocks of a bucket that still have messages to yield, in the order of need.
+
+    In ascending order this is the order of their first messages, in which they are stored. In
+    descending order it is that of their last messages, because an earlier block may end later.
+    """
+
+    def __init__(self, part: BucketRead, headers: Headers) -> None:
+        self._part = part
+        self._headers = headers
+        self._known: list[tuple[Order, int, _Item]] = []
+        self._count = 0
+        self._wanted, self._bytes = part.wanted, part.page_bytes
+        if part.wanted:
+            self._bytes = min(part.page_bytes, BLOCK_BYTES)
+
+    def batch(self) -> _Batch | None:
+        """Request the blocks that are needed next; None if all blocks were read."""
+        while self._headers.more and not self._is_known():
+            self.read()
+        taken, wanted = self._take(), self._wanted
+        if self._part.wanted:
+            self._wanted *= GROWTH
+            self._bytes = min(self._part.page_bytes, GROWTH * self._bytes)
+        early = self._headers.take_early()
+        return _Batch(self._part, taken, wanted, early) if taken else None
+
+    def read(self) -> None:
+        """Read more headers."""
+        for header in self._headers.read():
+            self._add(header)
+
+    def _add(self, item: _Item) -> None:
+        self._count += 1
+        turn = (-self._end(item), 0) if self._part.reverse else item.key
+        heapq.heappush(self._known, (turn, self._count, item))
+
+    def _end(self, item: _Item) -> int:
+        """Return the time of the last message of a block that is in the range to be read."""
+        return min(item.last, self._part.ends[1][0])
+
+    def rows(self, batch: _Batch) -> Iterator[list[TableRow]]:
+        """Yield rows of each block; of a large block only as many as are wanted, the rest later."""
+        for block in batch.blocks():
+            taken = block
+            if batch.wanted and block.block is not None:
+                taken = block.take(max(FEW_ROWS, batch.wanted), reverse=self._part.reverse)
+                if block.left:
+                    self._add(block)
+            yield self._part.rows(taken)
+
+    def _is_known(self) -> bool:
+        """Return whether no block with an unread header is needed before the first known one."""
+        if self._part.reverse:
+            return bool(self._known) and -self._known[0][0][0] > self._unread_end
+        # Only the next header tells up to which key the first block can be yielded. The rest of a
+        # block of which messages were taken may begin after blocks whose headers are not read yet.
+        last = self._headers.last
+        return len(self._known) > 1 and (last is None or self._known[0][0] <= last)
+
+    @property
+    def _unread_end(self) -> int:
+        """Latest time that a message of a block with an unread header may have."""
+        last = self._headers.last
+        return MAX_SEQ if last is None else last[0] + self._part.table.metadata.span_ns
+
+    def _take(self) -> list[_Item]:
+        """Take the blocks that may hold the first message, and as many as are wanted."""
+        found: list[_Item] = []
+        count, size = self._wanted or MAX_SEQ, self._bytes
+        first = self._known[0][0][0] if self._known else 0
+        if not self._part.reverse:  # earlier blocks may hold the first message too
+            first = max(first, self._part.ends[0][0])
+        while self._known and len(found) < MAX_AT_ONCE:
+            turn, _, item = self._known[0]
+            if found and turn[0] > first and (size < item.size or count <= 0):
+                break
+            found.append(heapq.heappop(self._known)[2])
+            count, size = count - item.left, size - item.size
+        return found
+
+    def bound_up(self, coming: _Batch | None) -> Order | None:
+        """Return a key before which no further message comes; None = no message comes."""
+        if coming is not None:
+            return coming.taken[0].key
+        ends = [self._known[0][0]] if self._known else []
+        if self._headers.more and self._headers.last is not None:
+            ends.append(self._headers.last)
+        return min(ends, default=None)
+
+    def bound_down(self, coming: _Batch | None) -> int:
+        """Return a time after which no further message comes in descending order."""
+        known = self._known_end(coming)
+        return max(known, self._unread_end) if self._headers.more else known
+
+    def look(self, coming: _Batch | None) -> bool:
+        """Read more headers if that may lower the bound; return whether headers were read."""
+        short = self._headers.more and self._unread_end > self._known_end(coming)
+        if short:
+            self.read()
+        return short
+
+    def _known_end(self, coming: _Batch | None) -> int:
+        first = [-self._known[0][0][0]] if self._known else []
+        if coming is not None:
+            first.append(self._end(coming.taken[0]))
+        return max(first, default=MIN_SEQ)
+
+
+def upwards(part: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
+    """Yield the rows of a bucket in the order (t, seq)."""
+    held, coming = WaitingRows(), needed.batch()
+    while coming is not None:
+        for rows in needed.rows(coming):
+            held.add(rows)
+        # A read of few messages gets the rows at hand before more blocks are requested.
+        coming = None if part.wanted else needed.batch()
+        bound = needed.bound_up(coming)
+        yield from held.rest() if bound is None else held.until(bound, part.node)
+        coming = coming or needed.batch()
+    yield from held.rest()
+
+
+def downwards(part: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
+    """Yield the rows of a bucket, newest first."""
+    held, coming = WaitingRows(), needed.batch()
+    while coming is not None:
+        for rows in needed.rows(coming):
+            held.add(rows)
+        coming = None if part.wanted else needed.batch()
+        found = held.beyond(needed.bound_down(coming))
+        while held and not found and needed.look(coming):
+            found = held.beyond(needed.bound_down(coming))
+        yield from found
+        coming = coming or needed.batch()
+    yield from reversed(held.rest())
+
+
+ROWS_AT_ONCE = 200
+
+
+def stream(part: BucketRead) -> Iterator[TableRow]:
+    """Yield the rows of a bucket in the order (t, seq), or newest first.
+
+    Sends the request at once.
+    """
+    if part.filters is None and not part.reverse and not part.wanted:
+        return _whole(part, _Pages(part))
+    needed = BlockQueue(part, Headers(part))
+    return downwards(part, needed) if part.reverse else upwards(part, needed)
+
+
+def opened(part: BucketRead) -> Iterator[OpenedBlock]:
+    """Yield the blocks of a bucket in the order of their keys; sends the request at once."""
+    if part.filters is not None:
+        return _opened_by_headers(part, Headers(part))
+    return _opened(part, _Pages(part))
+
+
+def _opened_by_headers(part: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
+    count = max(1, min(MAX_AT_ONCE, part.page_bytes // BLOCK_BYTES))
+    asked: PagedRead | None = None
+    while headers.more:
+        known = headers.read()
+        for begin in range(0, len(known), count):
+            following = part.fetch(known[begin : begin + count])
+            if asked is not None:
+                yield from _opened_of(part, asked)
+            asked = following
+    if asked is not None:
+        yield from _opened_of(part, asked)
+
+
+def _opened_of(part: BucketRead, asked: PagedRead) -> Iterator[OpenedBlock]:
+    for block in part.blocks(asked.page()):
+        found = part.open(block)
+        if found.left:
+            yield found
+
+
+def _opened(part: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:
+    for blocks, _ in pages:
+        for block in blocks:
+            found = part.open(block)
+            if found.left:
+                yield found
+
+
+class _Pages:
+    """All blocks of a bucket, page by page; the next page is requested ahead."""
+
+    def __init__(self, part: BucketRead) -> None:
+        self._part = part
+        self._count = max(1, part.page_bytes // BLOCK_BYTES)
+        self._asked: PagedRead | None = part.ask(WHOLE, self._count)
+
+    def __iter__(self) -> Iterator[tuple[list[BlockRow], Order | None]]:
+        """Yield blocks, and a key that all blocks of later pages lie after.
+
+        None = the last page.
+        """
+        while self._asked is not None:
+            asked = self._asked
+            page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
+            # All are unpacked before the next page is read, so their bytes need not be copied.
+            blocks = self._part.blocks(page.views() if isinstance(page, RawPage) else page)
+            self._asked = None
+            if not page or not asked.more:
+                yield blocks, None
+                return
+            if blocks:
+                mean = sum(block.size for block in blocks) // len(blocks) + 1
+                most = min(MAX_BLOCKS, GROWTH * self._count)
+                self._count = max(1, min(most, self._part.page_bytes // mean))
+            self._asked = self._part.ask(WHOLE, self._count, page[-1])
+            yield blocks, key_of(page[-1])
+
+
+def _whole(part: BucketRead, pages: _Pages) -> Iterator[TableRow]:
+    held = WaitingRows()
+    for blocks, behind in pages:
+        keys: list[Order | None] = [*(block.key for block in blocks[1:]), behind]
+        for block, bound in zip(blocks, keys):
+            opened = part.open(block)
+            if not held and opened.left and (bound is None or opened.last < bound[0]):
+                # The block overlaps no other. Its rows are made in small groups, because Python's
+                # collector walks through all rows that exist at the same time.
+                while opened.left:
+                    yield from part.rows(opened.take(ROWS_AT_ONCE, reverse=False))
+                continue
+            held.add(part.rows(opened))
+            yield from held.rest() if bound is None else held.until(bound, part.node)
+        if behind is None:
+            break
+    yield from held.rest()

@@ -1,0 +1,396 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Requests with retries: one by one, page by page (``PagedRead``), many on their way (``Flight``).
+
+A read that failed goes on after the last row that it got.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Callable, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, Union
+
+from cassandra.cluster import ResponseFuture, ResultSet
+from cassandra.query import Statement
+
+from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.store.connection.driver_errors import (
+    DRIVER_ERRORS,
+    is_busy,
+    is_passing,
+    translate,
+)
+from cassandra_ros.store.connection.outage import Outage
+
+_log = logging.getLogger(__name__)
+
+REQUEST_TIMEOUT_SEC = 20.0
+RETRY_SEC = 30.0
+BUSY_PAUSE_SEC = 0.002
+FIRST_PAUSE_SEC = 0.1
+LAST_PAUSE_SEC = 5.0
+LOOK_SEC = 0.2
+"""Interval at which a wait checks whether the program has to end, s."""
+GROWTH = 4
+"""Ratio between the sizes of two consecutive pages, for reads that start with a small page."""
+
+RawRow = Tuple[Optional[bytes], ...]
+"""Columns of a row as the bytes that Cassandra stores; None = null."""
+IsRefused = Callable[[BaseException], bool]
+"""Returns whether an error of the driver is raised at once as it is, without a retry."""
+OnPage = Callable[[Sequence[RawRow]], None]
+"""Called on the driver's thread with the rows of each page as soon as they arrive."""
+_T = TypeVar("_T")
+
+
+class Patience:
+    """Time limit of requests and their retries, which can be shortened at any time. Thread-safe.
+
+    Args:
+        seconds: Time limit from the beginning of a request, s; inf = no limit.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._hurried: float | None = None
+        self._left = self._answered = 0.0
+
+    def hurry(self, seconds: float) -> None:
+        """Limit all present and later requests to ``seconds`` from now; a later call may cut it.
+
+        A request is given up at its first failure if the store has not answered for this time.
+        """
+        if self._hurried is None or seconds < self._left:
+            self._left, self._hurried = seconds, time.monotonic()
+
+    def answered(self) -> None:
+        """Note that the store has answered a request."""
+        if self._hurried is not None:
+            self._answered = time.monotonic()
+
+    def ends(self, begun: float) -> float:
+        """Return until when a request that began at ``begun`` is retried; both monotonic, s."""
+        if self._hurried is None:
+            return begun + self._seconds
+        heard = max(self._hurried, self._answered)
+        latest = min(max(self._hurried, begun), heard) + self._left
+        return min(begun + self._seconds, latest)
+
+
+Seconds = Union[float, Patience]
+
+
+def retried(
+    what: str,
+    call: Callable[[], _T],
+    *,
+    seconds: Seconds = RETRY_SEC,
+    refused: IsRefused | None = None,
+    outage: Outage | None = None,
+) -> _T:
+    """Make an idempotent request; repeat it for ``seconds`` while it fails with what may pass.
+
+    Raises:
+        CassandraRosError: A retry cannot help, or the time is over.
+    """
+    begun, later, told = time.monotonic(), FIRST_PAUSE_SEC, False
+    while True:
+        try:
+            answer = call()
+            if outage is not None:
+                outage.answered()
+            return answer
+        except DRIVER_ERRORS as exc:
+            if refused is not None and refused(exc):
+                raise
+            pause = BUSY_PAUSE_SEC if is_busy(exc) else later
+            now = time.monotonic()
+            trying_sec = now - begun
+            ends = seconds.ends(begun) if isinstance(seconds, Patience) else begun + seconds
+            if outage is not None:
+                ends = min(ends, begun + outage.limit_sec)
+            over = outage is not None and outage.left_sec <= 0
+            if not is_passing(exc) or now + pause > ends or over:
+                nodes = outage.nodes() if outage is not None else ""
+                raise translate(exc, what, nodes) from exc
+            if not is_busy(exc):
+                if outage is not None:
+                    outage.failed(exc, trying_sec)
+                elif not told:
+                    _log.warning("%s; trying again", translate(exc, what))
+                told = True
+                later = min(2 * later, LAST_PAUSE_SEC)
+        _rest(pause, outage)
+
+
+def _rest(seconds: float, outage: Outage | None) -> None:
+    """Sleep for ``seconds``, or until the waits of the program have to end."""
+    ends = time.monotonic() + seconds
+    while (left := ends - time.monotonic()) > 0 and (outage is None or outage.left_sec > 0):
+        time.sleep(min(left, LOOK_SEC))
+
+
+def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
+    """Yield requests in order, ``count`` of them on their way.
+
+    Taking one from the input sends it.
+    """
+    sent: deque[_T] = deque()
+    for request in requests:
+        sent.append(request)
+        if len(sent) >= count:
+            yield sent.popleft()
+    yield from sent
+
+
+def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
+    """Wait for the answer of a request that was sent without a timer, REQUEST_TIMEOUT_SEC at most.
+
+    With the driver's own time limit each request would wake the driver's thread for a timer.
+
+    Args:
+        outage: Tells when the waits of the program have to end.
+    """
+    limit_sec = REQUEST_TIMEOUT_SEC if outage is None else outage.limit_sec
+    ends = time.monotonic() + min(REQUEST_TIMEOUT_SEC, limit_sec)
+    while not future._event.wait(LOOK_SEC):
+        if time.monotonic() >= ends or (outage is not None and outage.left_sec <= 0):
+            future._on_timeout()
+            break
+    return future.result()
+
+
+class PagedRead:
+    """A read of raw rows, in one page or many; it is sent when the object is made.
+
+    Args:
+        statement_from: Returns the statement that reads the rows after a row; None = from the
+            beginning. If a later page fails, the rest is read by it, so no row comes twice.
+        first_rows: Number of rows of the first page. Each further page has GROWTH times as many,
+            up to the statement's page size; until then no page is requested ahead. 0 = all pages
+            have the statement's size.
+        outage: Notes answers and failures.
+
+    Attributes:
+        more: Whether there are further pages after the one that was read last.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[Statement], ResponseFuture],
+        statement_from: Callable[[RawRow | None], Statement],
+        what: str,
+        refused: IsRefused | None = None,
+        on_page: OnPage | None = None,
+        first_rows: int = 0,
+        outage: Outage | None = None,
+    ) -> None:
+        self._send = send
+        self._outage = outage
+        self._statement_from = statement_from
+        self._what = what
+        self._refused = refused
+        self._on_page = on_page
+        self._small = first_rows
+        self._last: RawRow | None = None
+        self._read: Sequence[RawRow] = ()
+        self.more = True
+        self._failed = False
+        self._future = self._ask()
+
+    @property
+    def last(self) -> RawRow | None:
+        """Last row that was read."""
+        if self._read:  # not earlier: the page may not be cut into rows yet
+            self._last, self._read = self._read[-1], ()
+        return self._last
+
+    def _ask(self) -> ResponseFuture:
+        statement = self._statement_from(self.last)
+        if self._small:
+            self._small = self._small if self._small < statement.fetch_size else 0
+            statement.fetch_size = self._small or statement.fetch_size
+        future = self._send(statement)
+        if self._on_page is not None:
+            future.add_callback(self._on_page)
+        return future
+
+    def _result(self) -> Sequence[RawRow]:
+        if self._failed:
+            self._future, self._failed = self._ask(), False
+        try:
+            rows: Sequence[RawRow] = answered(self._future, self._outage).current_rows
+            self.more = self._future.has_more_pages
+            return rows
+        except DRIVER_ERRORS:
+            self._failed = True
+            raise
+
+    def page(self) -> Sequence[RawRow]:
+        """Wait for the page that was requested; raises like retried."""
+        return retried(self._what, self._result, refused=self._refused, outage=self._outage)
+
+    def pages(self, *, ahead: bool = True) -> Iterator[Sequence[RawRow]]:
+        """Yield the pages; with ``ahead`` the next one is requested before a page is yielded."""
+        while self.more:
+            page = self.page()
+            early = ahead and not self._small
+            if self.more and early:
+                self._future.start_fetching_next_page()
+            if page:
+                self._read = page
+            yield page
+            if self.more and self._small and page:
+                self._small *= GROWTH
+                self._future = self._ask()
+            elif self.more and not early:
+                self._future.start_fetching_next_page()
+
+    def rows(self, *, ahead: bool = True) -> Iterator[RawRow]:
+        """Yield the rows of all pages."""
+        for page in self.pages(ahead=ahead):
+            yield from page
+
+
+MAX_BYTES = 4 * 1024 * 1024
+"""Maximum number of bytes on their way: eight chunks of large messages, or 16 batches. More is not
+faster, and a server stops reading from an address that has sent it heap / 40 ahead."""
+MAX_REQUESTS = 16
+
+_GIVEN_UP = "the program is to end, and the store does not answer"
+
+Outcome = Callable[["BaseException | None"], None]
+
+
+@dataclass(eq=False)
+class _Request:
+    statement: Statement
+    nbytes: int
+    outcome: Outcome
+    begun: float
+    """Monotonic time at which the request was sent first, s."""
+    pause: float = FIRST_PAUSE_SEC
+    settled: bool = False
+
+
+class Flight:
+    """Sends idempotent statements without waiting for each answer. Thread-safe.
+
+    The callback ``outcome`` of each statement is called once, on the driver's event thread or on
+    the thread of a retry, with None or with the error after which the statement was given up. It
+    must not block.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[Statement], ResponseFuture],
+        patience: Patience | None = None,
+        outage: Outage | None = None,
+    ) -> None:
+        self._send = send
+        self._patience = patience or Patience(60.0)
+        self._outage = outage
+        self._changed = threading.Condition()
+        self._bytes = 0
+        self._requests: set[_Request] = set()
+
+    def submit(self, statement: Statement, nbytes: int, outcome: Outcome) -> None:
+        """Send a statement of ``nbytes`` bytes.
+
+        Blocks while too many bytes or requests are sent.
+        """
+        request = _Request(statement, nbytes, outcome, time.monotonic())
+        try:
+            with self._changed:
+                # A statement larger than MAX_BYTES is sent when no other one is on its way.
+                while self._requests and (
+                    len(self._requests) >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
+                ):
+                    self._changed.wait(LOOK_SEC)
+                    if self._is_over():
+                        raise StoreUnavailable(_GIVEN_UP)
+                self._requests.add(request)
+                self._bytes += nbytes
+            request.begun = time.monotonic()
+            self._launch(request)
+        except BaseException as exc:
+            # Ctrl-C while waiting, or before the request was handed over.
+            self._settle(request, exc)
+            raise
+
+    @property
+    def nbytes(self) -> int:
+        """Number of bytes on their way."""
+        return self._bytes
+
+    def wait(self) -> None:
+        """Wait until every statement has its outcome."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: not self._requests, LOOK_SEC)
+                if not self._requests:
+                    return
+                late = list(self._requests) if self._is_over() else []
+            for request in late:
+                self._settle(request, StoreUnavailable(_GIVEN_UP))
+
+    def _is_over(self) -> bool:
+        """Return whether the program has to end and the store does not answer."""
+        return self._outage is not None and self._outage.left_sec <= 0
+
+    def _launch(self, request: _Request) -> None:
+        try:
+            future = self._send(request.statement)
+        except Exception as exc:  # noqa: BLE001 - told as its outcome
+            self._failed(exc, request)
+            return
+        future.add_callbacks(
+            callback=self._succeeded,
+            callback_args=(request,),
+            errback=self._failed,
+            errback_args=(request,),
+        )
+
+    def _succeeded(self, _rows: object, request: _Request) -> None:
+        self._patience.answered()
+        if self._outage is not None:
+            self._outage.answered()
+        self._settle(request, None)
+
+    def _failed(self, exc: BaseException, request: _Request) -> None:
+        busy, now = is_busy(exc), time.monotonic()
+        trying_sec = now - request.begun
+        ends = now if self._is_over() else self._patience.ends(request.begun)
+        if not (busy or is_passing(exc)) or now >= ends:
+            self._settle(request, exc)
+            return
+        pause = BUSY_PAUSE_SEC
+        if not busy:
+            if self._outage is not None:
+                self._outage.failed(exc, trying_sec)
+            pause, request.pause = request.pause, min(2 * request.pause, LAST_PAUSE_SEC)
+        # The request still holds its place in the budget, so its retry never has to wait for one.
+        retry = threading.Timer(pause, self._launch, (request,))
+        retry.daemon = True
+        try:
+            retry.start()
+        except RuntimeError as no_thread:  # the process has its maximum number of threads
+            self._settle(request, no_thread)
+
+    def _settle(self, request: _Request, exc: BaseException | None) -> None:
+        with self._changed:
+            if request.settled:
+                return
+            request.settled = True
+        try:
+            request.outcome(exc)
+        finally:
+            with self._changed:
+                if request in self._requests:
+                    self._requests.remove(request)
+                    self._bytes -= request.nbytes
+                self._changed.notify_all()

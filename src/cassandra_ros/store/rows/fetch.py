@@ -1,0 +1,386 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows found by their keys: one by one, by a name, or by the value of an indexed field.
+
+Names have no order in Cassandra. A read of all rows in order first lists their keys: a scan of the
+whole table, and some 300 bytes of memory a message.
+"""
+
+from __future__ import annotations
+
+import heapq
+from typing import Callable, Collection, Iterable, Iterator, NamedTuple, Sequence, Union
+
+from cassandra.cluster import ResultSet
+from cassandra.query import BoundStatement
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.keys import Position
+from cassandra_ros.store.blocks.block_lookup import MessageFinder, answer_one, ask_one
+from cassandra_ros.store.blocks.block_stream import BucketRead, stream
+from cassandra_ros.store.connection.protocol import RawPage
+from cassandra_ros.store.connection.requests import PagedRead, RawRow, sent_ahead
+from cassandra_ros.store.tables.checksum import crc32
+from cassandra_ros.store.tables.directory import FEW_NODES, BucketRow, Directory, slot_of
+from cassandra_ros.store.tables.row_table import (
+    FIRST,
+    LAST,
+    RowTable,
+    SentRequest,
+    TableRow,
+    bind,
+    decode_long,
+    encode_int,
+)
+
+AHEAD = 16
+KEY_PAGE_ROWS = 5000
+_PAGE_CHUNKS = 8
+VERSION_PAGE_ROWS = 16
+FEW_ROWS = 1000
+"""Maximum number of keys that are fetched by one query over the whole table and sorted here."""
+
+
+_Side = Union[PagedRead, Iterator[TableRow]]
+"""The read of the rows before or after a time, or the messages of blocks there."""
+
+
+class RowKey(NamedTuple):
+    """Table and position of a row to be fetched."""
+
+    table: RowTable
+    position: Position
+
+
+def fetch_rows(wanted: Iterable[RowKey], ahead: int = AHEAD) -> Iterator[TableRow]:
+    """Yield rows in the given order; rows that were deleted meanwhile are left out."""
+    finders: dict[str, MessageFinder] = {}
+
+    def sent(key: RowKey) -> tuple[RowKey, PagedRead | None]:
+        # The block of one message may hold the next ones too, so blocks are not requested ahead.
+        return key, None if key.table.packed else _ask(key)
+
+    for key, asked in sent_ahead(map(sent, wanted), ahead):
+        if asked is not None:
+            row = _answer(key, asked)
+        else:
+            row = finders.setdefault(key.table.name, MessageFinder(key.table)).find(key.position)
+        if row is not None:
+            yield row
+
+
+def fetch_row(table: RowTable, position: Position) -> TableRow | None:
+    """Return one row by its position, None if there is no such row: one SELECT."""
+    key = RowKey(table, position)
+    return _answer(key, _ask(key))
+
+
+def first_at(
+    directory: Directory, tables: Sequence[RowTable], t: int, nodes: Sequence[str] | None
+) -> TableRow | None:
+    """Return the first row with exactly this key time, ns, in the order (node, seq, table).
+
+    First the nodes that are known to write to a table are asked: one round trip. If they have no
+    row, the directory is asked for other nodes, so no row is missed. If two nodes have a row with
+    this time, one that this process has not met yet is not preferred, even if it is first in order.
+    Of a table that many nodes write to, the directory is asked first.
+    """
+    known = [
+        (table, node)
+        for table in tables
+        for node in sorted(_probable(directory, table) if nodes is None else nodes)
+    ]
+    row = _best(known, t)
+    if row is not None or nodes is not None:
+        return row
+    others: list[tuple[RowTable, str]] = []
+    for table, listed in [(table, _begin_listing(directory, table, t)) for table in tables]:
+        found = listed()
+        asked = {node for each, node in known if each is table}
+        others.extend((table, node) for node in sorted(found - asked))
+        table.known_nodes.update(found)
+    return _best(others, t)
+
+
+def _probable(directory: Directory, table: RowTable) -> Collection[str]:
+    """Return the nodes that are asked before the directory tells which have rows."""
+    many = len(table.known_nodes) > FEW_NODES
+    by_time = many and directory.reads_by_time(table.metadata, None)
+    return () if by_time else table.known_nodes
+
+
+def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[], set[str]]:
+    """Request the nodes that may have rows with a key time; return what waits for the answer."""
+    bucket = table.bucket_of(t)
+    slot = slot_of(bucket)
+    if directory.reads_by_time(table.metadata, None):
+        rows = directory.begin_active(table.name, slot, bucket, bucket)
+        return lambda: {r.node for r in rows() if not r.closed or r.t_min <= t <= r.t_max}
+    listed = directory.begin_nodes(table.name, (slot, slot))
+    return lambda: {node for _, node in listed()}
+
+
+def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
+    keys = [RowKey(table, Position(t, node, 0, table.name)) for table, node in places]
+    asked = [(key, _ask(key, any_seq=True)) for key in keys]
+    rows = [_answer(*each, any_seq=True) for each in asked]
+    found = [row for row in rows if row is not None]
+    return min(found, key=lambda row: row[:4], default=None)
+
+
+def beside(
+    directory: Directory,
+    tables: Sequence[RowTable],
+    t: int,
+    nodes: Sequence[str] | None,
+    ways: Sequence[bool],
+) -> list[TableRow] | None:
+    """Return the rows nearest to a time, ns, in one or two round trips; None if that did not work.
+
+    The nodes that were writing at this time are asked for rows of the bucket of this time, while
+    the directory is asked whether there are other nodes.
+
+    Args:
+        ways: False = at or after the time, True = at or before it.
+
+    Returns:
+        One row for each way; of several rows with the same time the first.
+    """
+    streams: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
+
+    def ask(table: RowTable, some: Iterable[str], way: int) -> None:
+        streams[way] += [(table, node, _ask_side(table, node, t, ways[way])) for node in some]
+
+    slots: list[tuple[Sequence[str], Callable[[], Sequence[str]]]] = []
+    buckets: list[tuple[RowTable, Callable[[], list[BucketRow]]]] = []
+    for table in tables:
+        bucket = table.bucket_of(t)
+        seen = nodes or ()
+        if nodes is None:
+            few = directory.has_few_nodes(table.name, slot_of(bucket))
+            if not few and directory.reads_by_time(table.metadata, nodes):
+                buckets.append((table, directory.begin_bucket(table.name, bucket)))
+                continue
+            seen, listed = directory.begin_slot(table.name, slot_of(bucket))
+            slots.append((seen, listed))
+        for way in range(len(ways)):
+            ask(table, seen, way)
+    for table, rows in buckets:
+        found_rows = rows()
+        for way, reverse in enumerate(ways):
+            ask(table, sorted(_nearest(table, found_rows, t, reverse)), way)
+    if any(set(seen) != set(listed()) for seen, listed in slots):
+        return None
+    found = [_best_side(*each) for each in zip(streams, ways)]
+    low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)
+    high = min((table.bucket_of(t) + 1) * table.metadata.bucket_ns for table in tables)
+    # Outside of this range another table may have a nearer row in its next bucket.
+    near = [row for row in found if row is not None and low <= row.t < high]
+    return near if len(near) == len(ways) else None
+
+
+def _nearest(table: RowTable, rows: Sequence[BucketRow], t: int, reverse: bool) -> set[str]:
+    """Return the nodes of which one has the nearest row to a time, by the rows of one bucket.
+
+    Args:
+        reverse: False = at or after the time, True = at or before it.
+    """
+    sign = -1 if reverse else 1
+    # Each closed bucket has a message between its near end and its far end.
+    ends: list[tuple[int, int, str]] = []
+    for row in rows:
+        first, last = sorted((sign * row.t_min, sign * row.t_max))
+        if not row.closed or table.metadata.ttl:
+            ends.append((sign * t, 2**63, row.node))  # where its messages are is not known
+        elif row.rows and last >= sign * t:
+            ends.append((max(first, sign * t), first if first >= sign * t else last, row.node))
+    far = min((far for _, far, _ in ends), default=0)
+    return {node for near, _, node in ends if near <= far}
+
+
+def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
+    ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
+    if table.packed:
+        return stream(BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1))
+    place, page_rows = table.place(node, table.bucket_of(t)), 1 + reverse
+    return table.select_range(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
+
+
+def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
+    """Return the nearest row of all nodes; None if there is no row, or the first is not known."""
+    rows: list[TableRow] = []
+    for table, node, each in asked:
+        if not isinstance(each, PagedRead):
+            rows += _first_of(each)
+            continue
+        values = each.page()
+        found = [table.row_from_values(node, v) for v in values if not table.is_rest(v)]
+        # Descending order begins with the last of several rows with the same time.
+        if len(found) < len(values) or len(found) == 2 and found[0].t == found[1].t:
+            return None
+        rows += found[:1]
+    return min(rows, key=lambda r: (-r.t if reverse else r.t, *r[1:4]), default=None)
+
+
+def _first_of(messages: Iterator[TableRow]) -> list[TableRow]:
+    """Return the lowest of the first messages that have the same time, as a list of at most one."""
+    found: list[TableRow] = []
+    for row in messages:
+        if found and row.t != found[0].t:
+            break
+        found.append(row)
+    return found and [min(found)]
+
+
+def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
+    table, (t, node, seq, _, name) = key
+    if table.packed:
+        return ask_one(table, key.position, any_seq=any_seq)
+    place = table.place_of(node, t, name)
+    if any_seq:
+        return table.ask_row(place, t, None)
+    return table.ask_row(place, *table.stored_order(t, seq))
+
+
+def _answer(key: RowKey, asked: PagedRead, *, any_seq: bool = False) -> TableRow | None:
+    table, position = key
+    if table.packed:
+        return answer_one(table, position, asked, any_seq=any_seq)
+    for values in asked.page()[:1]:
+        if not table.is_rest(values):
+            return table.row_from_values(position.node, values, position.name)
+    return None
+
+
+def _select_chunks(table: RowTable, row: TableRow) -> BoundStatement:
+    return bind(table.select_chunks(), table.key_of(row), _PAGE_CHUNKS)
+
+
+def ask_chunks(table: RowTable, row: TableRow) -> SentRequest:
+    """Request the chunks of a large message, for read_chunks."""
+    return table.begin(_select_chunks(table, row))
+
+
+def read_chunks(table: RowTable, row: TableRow, sent: SentRequest | None = None) -> bytes:
+    """Return the bytes of a large message; raises CorruptMessage if they do not match its row.
+
+    Args:
+        sent: Result of ask_chunks; None = the chunks have not been requested yet.
+    """
+
+    def data_of(rows: ResultSet) -> list[bytes]:
+        parts: list[bytes] = []
+        for number, data in _views(rows):
+            if number != encode_int(len(parts)) or len(parts) >= row.nchunks:
+                break
+            parts.append(data or b"")
+        return parts
+
+    what = "reading a large message of"
+    parts = table.collect(_select_chunks(table, row), data_of, what, sent=sent)
+    wire = b"".join(parts)
+    if len(parts) != row.nchunks or len(wire) != row.size or crc32(wire) != row.crc:
+        raise CorruptMessage(
+            f"the message of topic {table.metadata.topic} at {row.t} is incomplete: "
+            f"{len(parts)} of {row.nchunks} chunks, {len(wire)} of {row.size} bytes"
+            f"{'' if len(wire) != row.size else ', wrong checksum'}; repair the cluster, or "
+            "import or record it again"
+        )
+    return wire
+
+
+def _views(rows: ResultSet) -> Iterator[RawRow]:
+    """Yield the rows of all pages; the bytes of wide rows are not copied."""
+    while True:
+        page = rows.current_rows
+        yield from page.views() if isinstance(page, RawPage) else page
+        if not rows.has_more_pages:
+            return
+        rows.fetch_next_page()
+
+
+class NamedKey(NamedTuple):
+    """Key of a row with a name, and what a count needs of the row."""
+
+    position: Position
+    size: int
+    chunked: bool
+    odd: bool
+
+
+def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
+    """Return the keys of all rows of a table whose rows have names, in no order."""
+
+    def keys(rows: Iterable[RawRow]) -> list[NamedKey]:
+        found = (_named_key(values, table.name) for values in rows)
+        return [key for key in found if nodes is None or key.position.node in nodes]
+
+    statement = bind(table.select_names(), (), KEY_PAGE_ROWS)
+    return table.collect(statement, keys, "listing the names of")
+
+
+def some_names(table: RowTable, count: int) -> tuple[list[NamedKey], bool]:
+    """Return the keys of some rows of a table whose rows have names, and whether these are all.
+
+    Args:
+        count: Maximum number of keys, from 1.
+    """
+    asked = table.send(bind(table.select_names(), (), count), "listing some names of")
+    rows = asked.page()
+    return [_named_key(values, table.name) for values in rows], not asked.more
+
+
+def _named_key(values: RawRow, table: str) -> NamedKey:
+    node, name, t, seq, size, nchunks, odd, *received = values
+    t, seq = received or (t, seq)
+    texts = (node or b"").decode(), (name or b"").decode()
+    position = Position(decode_long(t), texts[0], decode_long(seq), table, texts[1])
+    return NamedKey(position, decode_long(size), nchunks is not None, odd is not None)
+
+
+def versions(
+    table: RowTable, name: str, nodes: Sequence[str], *, reverse: bool = False
+) -> Iterator[TableRow]:
+    """Yield the rows of one name and several nodes in order of time, or newest first."""
+    streams = [_versions_of(table, name, node, reverse) for node in nodes]
+    return heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
+
+
+def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
+    asked = table.select_range(
+        table.listing(), table.place(node, name), page_rows=VERSION_PAGE_ROWS, reverse=reverse
+    )
+    for values in asked.rows(ahead=False):
+        yield table.row_from_values(node, values, name)
+
+
+def keys_by_shadow(
+    directory: Directory, table: RowTable, shadow: str, value: bytes, nodes: Sequence[str] | None
+) -> Iterator[RowKey]:
+    """Yield the keys of the rows with an encoded value in a shadow column, in order of time."""
+
+    def keys(rows: Iterable[RawRow]) -> list[RowKey]:
+        return [_wanted(table, values) for values in rows]
+
+    asked = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), FEW_ROWS))
+    row_keys = keys(asked.page())
+    if not asked.more:
+        row_keys = [key for key in row_keys if nodes is None or key.position.node in nodes]
+        yield from sorted(row_keys, key=lambda key: key.position)
+        return
+    buckets: dict[int, set[str]] = {}
+    for row in directory.buckets(table.name, table.metadata, FIRST[0], LAST[0], nodes):
+        buckets.setdefault(row.bucket, set()).add(row.node)
+    statement = table.select_shadow(shadow, bucket=True)
+    for bucket in sorted(buckets):
+        row_keys = []
+        for node in buckets[bucket]:
+            values = (*table.place(node, bucket), value)
+            row_keys += table.collect(bind(statement, values, KEY_PAGE_ROWS), keys)
+        yield from sorted(row_keys, key=lambda key: key.position)
+
+
+def _wanted(table: RowTable, values: RawRow) -> RowKey:
+    node, t, seq = values
+    position = Position(decode_long(t), (node or b"").decode(), decode_long(seq), table.name)
+    return RowKey(table, position)

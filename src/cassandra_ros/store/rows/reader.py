@@ -1,0 +1,657 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows from Cassandra: of any number of tables and nodes, merged in one order, page by page.
+
+All rows of a bucket are read, or those that pass the server's filter.
+
+A read of few rows requests the buckets in which the last read of its tables began at the same time
+as the directory. It uses the answer only if the directory names the same buckets. That saves one
+round trip and never changes the result.
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from collections import deque
+from functools import partial
+from itertools import repeat
+from typing import (
+    Callable,
+    Collection,
+    Generic,
+    Iterable,
+    Iterator,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+    TypeVar,
+)
+
+from cassandra.query import PreparedStatement
+
+from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.read import Chooser, Query, Read
+from cassandra_ros.store.blocks.block_stream import (
+    EARLY_BLOCKS,
+    BucketRead,
+    OpenedBlock,
+    opened,
+    stream,
+)
+from cassandra_ros.store.connection.driver_errors import DRIVER_ERRORS, is_refused
+from cassandra_ros.store.connection.protocol import RawPage
+from cassandra_ros.store.connection.requests import GROWTH, PagedRead, RawRow
+from cassandra_ros.store.rows.page_rows import rows_of_page
+from cassandra_ros.store.tables.directory import BucketRow, BucketWalk, Directory
+from cassandra_ros.store.tables.row_table import (
+    KEYS,
+    MAX_SEQ,
+    MIN_SEQ,
+    Order,
+    RowTable,
+    TableRow,
+    bind,
+    decode_long,
+    encode_int,
+)
+
+_log = logging.getLogger(__name__)
+
+PAGE_BYTES = 2 * 1024 * 1024
+ALL_PAGES_BYTES = 16 * 1024 * 1024
+"""Approximate maximum size of the pages of all streams of one merged read, bytes."""
+MAX_PAGE_ROWS = 5000
+AHEAD = 16
+"""Maximum number of buckets that the server filters at the same time."""
+UNKNOWN_ROW_BYTES = 32 * 1024
+"""Assumed size of the rows of a bucket that the directory has no counts of yet, bytes."""
+_ROW_OVERHEAD = 64
+MERGED_ROWS = 16
+"""Minimum number of rows requested from each of several streams for a read of few rows."""
+KEYS_AT_ONCE = 100
+"""Maximum number of rows that one statement fetches by their keys."""
+KEYED_SHARE = 0.04
+"""Largest share of a bucket's rows that is fetched by key after filtering. Above it the server
+returns whole rows."""
+TURNED_PAGES = 2
+"""Maximum number of pages of an index that are held in memory to reverse their order."""
+FEW_ROWS = 5000
+"""Maximum number of wanted rows for which the first pages are smaller than whole ones."""
+MOST_FIRST = 8
+"""Maximum number of buckets requested before the directory has answered. If a read begins in more
+buckets, the directory is read first."""
+_Order = Tuple[object, ...]
+_Request = Tuple[str, str, int, int, int, int]
+_T = TypeVar("_T")
+
+_ALL: Query = ((), False)
+Queries = Optional[Sequence[Query]]
+"""Queries that return the rows of a bucket that may match; None = read all rows."""
+
+
+def _takes_few(read: Read) -> bool:
+    """Return whether probably less than a page of rows will be taken."""
+    return read.wanted is not None and read.wanted <= FEW_ROWS
+
+
+def _first_and_last(read: Read, table: RowTable) -> tuple[int, int]:
+    """Return the first and the last bucket of a table that may hold rows of a read."""
+    low, high = read.time_range
+    if read.after is not None and read.reverse:
+        high = min(high, read.after.t)
+    elif read.after is not None:
+        low = max(low, read.after.t)
+    return table.bucket_of(low), table.bucket_of(high)
+
+
+def _may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
+    """Return whether a bucket may hold rows of a read: the directory may list too many."""
+    writers = read.whose.writers
+    if writers is not None and not any(row.writer in writers for row in bucket):
+        return False
+    low, high = read.time_range
+    return any(
+        not row.closed or (row.rows and row.t_min <= high and row.t_max >= low) for row in bucket
+    )
+
+
+class BucketPart(NamedTuple):
+    """A bucket of a read, with the sizes of its pages."""
+
+    start: int
+    """Time at which it begins, in the direction of reading, ns."""
+    table: RowTable
+    node: str
+    bucket: int
+    rows: Sequence[BucketRow]
+    """Rows of its writers in the directory; empty = no bucket, but the place up to which the
+    directory was read."""
+    page_rows: int = 0
+    page_bytes: int = 0
+    """Approximate maximum size of its messages in memory, bytes."""
+    first_rows: int = 0
+    """Number of rows of its first page, from which pages grow; 0 = page_rows."""
+
+    @property
+    def listed(self) -> int:
+        """Number of rows by the directory, which is exact for a closed bucket."""
+        return sum(row.rows for row in self.rows)
+
+    def listed_in(self, span_ns: int) -> float:
+        """Return the number of rows in a time range of this length, if they are evenly spread."""
+        ends = [(row.t_min, row.t_max) for row in self.rows if row.rows]
+        length = max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0
+        return self.listed * min(1.0, span_ns / max(1, length))
+
+
+def _ends_of(piece: BucketPart, read: Read) -> tuple[Order, Order]:
+    """Return the first and the last row key in a bucket that the read includes."""
+    first, last = read.time_range
+    low, high = (first, MIN_SEQ), (last, MAX_SEQ)
+    if read.after is None:
+        return low, high
+    t, node, seq, table, _ = read.after
+    if read.reverse and t <= last:
+        high = (t - (piece.node > node), MAX_SEQ)
+        if piece.node == node:
+            high = (t, seq - (piece.table.name >= table))
+    elif not read.reverse and t >= first:
+        low = (t + (piece.node < node), MIN_SEQ)
+        if piece.node == node and piece.table.name > table:
+            low = (t, seq)
+        elif piece.node == node:
+            low = (t, seq + 1) if seq < MAX_SEQ else (t + 1, MIN_SEQ)
+    return low, high
+
+
+def _open(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
+    """Request the first rows of a bucket by some queries (None: all rows); return them in order."""
+    if piece.table.packed:
+        return _blocks(piece, read, chosen)
+    if chosen is None:
+        return _Stream(piece, read, _ALL).rows()
+    # The queries of a bucket share the memory of one.
+    share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
+    return _found(piece, read, [_Stream(share, read, query) for query in chosen])
+
+
+def _blocks(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
+    """Request the first blocks of a bucket; return their messages."""
+    chooser = read.chooser
+    columns = None if read.columns is None else read.columns(piece.table)
+    bare = columns is not None and not columns
+    part = _filtered_part(piece, read, chosen, bare=bare)
+    if chooser is None or chosen is None:
+        return stream(part)
+    return _counted(piece, chooser, stream(part))
+
+
+def _filtered_part(
+    piece: BucketPart, read: Read, chosen: Queries, *, bare: bool = False
+) -> BucketRead:
+    """Return the read of a bucket of blocks: of those that pass one of some queries; None = all."""
+    table, chooser = piece.table, read.chooser
+    return BucketRead(
+        piece.table,
+        piece.node,
+        piece.bucket,
+        _ends_of(piece, read),
+        read.reverse,
+        read.whose.writers,
+        bare=bare,
+        filters=None if chosen is None else [terms for terms, _ in chosen],
+        sift=None if chooser is None else chooser.sift(table),
+        opened=None if chooser is None else partial(chooser.opened, table),
+        wanted=piece.first_rows,
+        early=min(EARLY_BLOCKS, len({row.writer for row in piece.rows})),
+        page_bytes=piece.page_bytes,
+    )
+
+
+def _open_blocks(
+    piece: BucketPart, read: Read, chosen: Queries
+) -> Iterator[tuple[BucketRead, OpenedBlock]]:
+    part = _filtered_part(piece, read, chosen)
+    found = opened(part)
+    if read.chooser is not None and chosen is not None:
+        found = _learned(piece, read.chooser, found)
+    return zip(repeat(part), found)
+
+
+def _learned(
+    piece: BucketPart, chooser: Chooser, blocks: Iterator[OpenedBlock]
+) -> Iterator[OpenedBlock]:
+    count = 0
+    for block in blocks:
+        count += block.left
+        yield block
+    chooser.learn(piece.table, piece.rows, count)
+
+
+def _counted(piece: BucketPart, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
+    count = 0
+    for row in rows:
+        count += 1
+        yield row
+    chooser.learn(piece.table, piece.rows, count)
+
+
+def _found(piece: BucketPart, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
+    """Yield the rows of several queries in one order, without duplicates."""
+    count, last = 0, None
+    found = [stream.rows() for stream in streams]
+    merged = heapq.merge(*found, key=_place, reverse=read.reverse)
+    single = len(found) == 1  # one query returns no duplicates, and rows in order
+    for row in found[0] if single else merged:
+        if single:
+            count += 1
+            yield row
+        elif _place(row) != last:
+            last = _place(row)
+            count += 1
+            yield row
+    if read.chooser is not None and not any(stream.refused for stream in streams):
+        read.chooser.learn(piece.table, piece.rows, count)
+
+
+def _place(row: TableRow) -> tuple[int, int]:
+    return row.t, row.seq
+
+
+class _Stream:
+    """The rows of one bucket that match one query."""
+
+    def __init__(self, piece: BucketPart, read: Read, query: Query) -> None:
+        self._piece = piece
+        self._read = read
+        wanted = None if read.columns is None else read.columns(piece.table)
+        self._columns = piece.table.columns if wanted is None else wanted
+        # Conditions are checked on columns, so then whole pages are not made into messages.
+        self._together = wanted is None and read.chooser is None
+        self._place = piece.table.place(piece.node, piece.bucket)
+        self._terms, indexed = query
+        # To filter a row the server needs fewer columns than to return it. If few rows pass, only
+        # their keys are requested, and then these rows.
+        filtered = bool(self._terms) and not indexed
+        self._keyed = filtered and read.chooser is not None and read.chooser.few(piece.table)
+        # The server cannot reverse the order of the rows of an index.
+        self._turned = read.reverse and indexed
+        self.refused = False  # True = the server refused the query, so all rows are read
+        # A writer id is the upper half of a _seq.
+        writers = read.whose.writers
+        self._heads = None if writers is None else {encode_int(each) for each in writers}
+        self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
+        self._early: tuple[Sequence[RawRow], PagedRead | None] = ((), None)
+        self._asked = self._start(None)
+
+    def _start(self, last: RawRow | None) -> PagedRead:
+        """Request the rows after the last one that was read."""
+        table = self._piece.table
+        if self._keyed:
+            self._these()  # prepared here: the driver's thread must not wait for the server
+        try:
+            return table.select_range(
+                KEYS if self._keyed else table.listing(self._columns),
+                self._place,
+                _ends_of(self._piece, self._read),
+                terms=self._terms,
+                page_rows=self._piece.page_rows,
+                first_rows=0 if self._turned or last else self._piece.first_rows,
+                reverse=self._read.reverse and not self._turned,
+                last=last,
+                refused=is_refused if self._terms else None,
+                on_page=self._fetch_early if self._keyed else None,
+            )
+        except SchemaConflict as exc:
+            if not self._terms:
+                raise
+            return self._all(exc, last)
+
+    def _all(self, exc: object, last: RawRow | None) -> PagedRead:
+        """Go on with all rows, if a server forbids filtering or is too slow at it."""
+        topic = self._piece.table.metadata.topic
+        _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
+        self._terms, self._turned, self._keyed, self.refused = (), False, False, True
+        return self._start(last)
+
+    def rows(self) -> Iterator[TableRow]:
+        if self._turned:
+            found = self._found()
+            if found is not None:
+                yield from sorted(found, key=_place, reverse=True)
+                return
+            # All rows, from the newest on.
+            self._asked = self._all("an index does not give its rows, or too many", None)
+        last: RawRow | None = None
+        while True:
+            try:
+                for page in self._asked.pages():
+                    if self._keyed and self._crowds(page):
+                        break
+                    yield from self._made(self._fetched(page) if self._keyed else page)
+                    last = self._asked.last
+                else:
+                    return
+                # From here on whole rows are filtered.
+                self._keyed = False
+                self._asked = self._start(last)
+            except DRIVER_ERRORS as exc:
+                self._asked = self._all(exc, last)
+
+    def _crowds(self, keys: Sequence[RawRow]) -> bool:
+        """Return whether there are so many keys that requesting whole rows is faster."""
+        if len(keys) <= KEYS_AT_ONCE:
+            return False
+        span = abs(decode_long(keys[-1][0]) - decode_long(keys[0][0]))
+        return len(keys) > KEYED_SHARE * self._piece.listed_in(span)
+
+    def _found(self) -> list[TableRow] | None:
+        """Read the rows of an index to reverse them; None if that fails or they are too many."""
+        found: list[TableRow] = []
+        try:
+            for page in self._asked.pages():
+                found.extend(self._made(page))
+                if len(found) > TURNED_PAGES * self._piece.page_rows:
+                    return None
+        except DRIVER_ERRORS as exc:
+            _log.info("topic %s by an index: %s", self._piece.table.metadata.topic, exc)
+            return None
+        return found
+
+    def _made(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
+        table, node, heads = self._piece.table, self._piece.node, self._heads
+        if self._together and heads is None and isinstance(values, RawPage):
+            rows = rows_of_page(table, node, values)
+            if rows is not None:
+                return rows
+        if heads is not None:
+            values = (each for each in values if (each[1] or b"")[:4] in heads)
+        if table.metadata.ttl:
+            values = (each for each in values if not table.is_rest(each))
+        return map(partial(table.row_from_values, node), values)
+
+    def _fetched(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
+        """Fetch the rows of keys, in their order."""
+        for n in range(0, len(keys), self._at_once):
+            part = keys[n : n + self._at_once]
+            early, asked = self._early
+            if asked is None or early != part:
+                asked = self._ask_these(part)
+            yield from asked.page()
+
+    def _fetch_early(self, keys: Sequence[RawRow]) -> None:
+        """Request the first rows as soon as their keys are here, on the driver's thread."""
+        if keys and not self._crowds(keys):
+            part = keys[: self._at_once]
+            self._early = part, self._ask_these(part)
+
+    def _these(self) -> PreparedStatement:
+        return self._piece.table.select_these(self._columns, reverse=self._read.reverse)
+
+    def _ask_these(self, part: Sequence[RawRow]) -> PagedRead:
+        values = (*self._place, _pairs(part))
+        return self._piece.table.send(bind(self._these(), values, self._at_once))
+
+
+def _pairs(keys: Sequence[RawRow]) -> bytes:
+    """Encode pairs of encoded (t, seq) as a list of tuples."""
+    size = encode_int(8)
+    pairs = (encode_int(24) + size + (t or b"") + size + (seq or b"") for t, seq in keys)
+    return encode_int(len(keys)) + b"".join(pairs)
+
+
+def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:
+    """Yield the rows of several tables in the order (t, node, seq, table), or its reverse.
+
+    Memory: one or two pages for each table and node that has rows at the time.
+    """
+    sign = -1 if read.reverse else 1
+    heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
+    waiting = _BucketQueue(directory, tables, read, _open)
+    count = 0
+    while heap or waiting.left:
+        while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
+            stream = waiting.take()
+            first = next(stream, None)
+            if first is not None:
+                count += 1
+                heapq.heappush(heap, (_order(first, sign), count, first, stream))
+        if not heap:
+            return
+        _, number, row, stream = heapq.heappop(heap)
+        # While one stream is before all others it does not need the heap.
+        yield row
+        if not heap and not waiting.left:
+            yield from stream
+            return
+        limit = heap[0][0] if heap else None
+        for row in stream:
+            late = limit is not None and _order(row, sign) > limit
+            if late or (waiting.left and waiting.opens_before(row.t, sign)):
+                heapq.heappush(heap, (_order(row, sign), number, row, stream))
+                break
+            yield row
+
+
+def read_blocks(
+    directory: Directory, tables: Sequence[RowTable], read: Read
+) -> Iterator[tuple[BucketRead, OpenedBlock]]:
+    """Yield the blocks of several packed tables, bucket by bucket, in any order within a bucket.
+
+    Each comes with the read of its bucket. Columns of the read are ignored. Of a read with a
+    chooser come the blocks, and their messages, that it does not leave out.
+    """
+    waiting = _BucketQueue(directory, tables, read, _open_blocks)
+    while waiting.left:
+        yield from waiting.take()
+
+
+def _order(row: TableRow, sign: int) -> _Order:
+    if sign > 0:
+        return row[:4]
+    return (-row.t, _inverted(row.node), -row.seq, _inverted(row.table))
+
+
+def _inverted(text: str) -> tuple[int, ...]:
+    # The last number is above all others, so of two texts the longer one comes first.
+    return (*(-ord(c) for c in text), 1)
+
+
+def _walk(directory: Directory, table: RowTable, read: Read) -> BucketWalk:
+    return BucketWalk(
+        directory,
+        table.name,
+        table.metadata,
+        *_first_and_last(read, table),
+        read.whose.nodes,
+        reverse=read.reverse,
+        few=_takes_few(read),
+    )
+
+
+def _pieces(table: RowTable, walk: BucketWalk, read: Read) -> Iterator[BucketPart]:
+    """Yield the buckets of a table that may hold rows of a read, in order of their beginnings."""
+    length = table.metadata.bucket_ns
+    high = read.time_range.high
+    if read.after is not None:
+        high = min(high, read.after.t)
+    for bucket, group in walk.groups():
+        if group and not _may_hold(read, group):
+            continue
+        if group and read.skip is not None and read.skip(table, group[0].node, bucket):
+            continue
+        start = min((bucket + 1) * length, high + 1) if read.reverse else bucket * length
+        yield BucketPart(start, table, group[0].node if group else "", bucket, group)
+
+
+def foresee(
+    directory: Directory, tables: Sequence[RowTable], read: Read
+) -> tuple[list[BucketPart], int]:
+    """Return the buckets in which a read probably begins, and the number of nodes of its tables."""
+    found: list[BucketPart] = []
+    streams = 0
+    for table in tables:
+        known, groups = directory.first.get((table.name, read.reverse), ((), ()))
+        nodes = [node for node in known if read.whose.nodes is None or node in read.whose.nodes]
+        streams += len(nodes)
+        low, high = _first_and_last(read, table)
+        found += [
+            BucketPart(0, table, group[0].node, group[0].bucket, group)
+            for group in groups
+            if group[0].node in nodes and low <= group[0].bucket <= high and _may_hold(read, group)
+        ]
+    return (found if len(found) <= MOST_FIRST else []), streams
+
+
+def _note_first(
+    directory: Directory,
+    walks: Iterable[tuple[RowTable, Collection[str]]],
+    begun: Iterable[BucketPart],
+    read: Read,
+) -> None:
+    """Cache the buckets in which a read began, and the nodes that were found in each table."""
+    groups: dict[str, list[Sequence[BucketRow]]] = {}
+    for piece in begun:
+        if piece.rows:
+            groups.setdefault(piece.table.name, []).append(piece.rows)
+    for table, met in walks:
+        if table.name in groups:
+            directory.first[table.name, read.reverse] = tuple(met), groups[table.name]
+
+
+def _begins(piece: BucketPart) -> tuple[int, str, str]:
+    return piece.start, piece.node, piece.table.name
+
+
+def _request(piece: BucketPart) -> _Request:
+    """Return what distinguishes the request for a piece from that for another piece of a read."""
+    sizes = piece.page_rows, piece.page_bytes, piece.first_rows
+    return (piece.table.name, piece.node, piece.bucket, *sizes)
+
+
+def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
+    count = sum(row.rows for row in group)
+    if not count:
+        return max(1, page_bytes // UNKNOWN_ROW_BYTES)
+    mean = sum(row.bytes for row in group) / count + _ROW_OVERHEAD
+    # Even a page of rows that are all as large as the largest must fit into memory.
+    largest = max(row.largest for row in group) + _ROW_OVERHEAD
+    rows = min(page_bytes / mean, 8 * page_bytes / largest)
+    return max(1, min(MAX_PAGE_ROWS, int(rows)))
+
+
+class _BucketQueue(Generic[_T]):
+    """The buckets that are still to be read; the next ones are requested ahead.
+
+    Of whole buckets one is requested ahead. Of filtered buckets, which return few rows, many are
+    requested ahead, but not from the start, because the caller may need only the first row. If few
+    rows are wanted, the buckets that hold that many are requested: one, those that begin at the
+    same time, and more if the directory lists fewer rows in these. The numbers grow as rows are
+    taken.
+
+    Args:
+        open_piece: Requests the rows of a bucket by the chosen queries.
+
+    Attributes:
+        left: Whether there are buckets to be read.
+        start: Time at which the next bucket begins, ns.
+    """
+
+    def __init__(
+        self,
+        directory: Directory,
+        tables: Sequence[RowTable],
+        read: Read,
+        open_piece: Callable[[BucketPart, Read, Queries], Iterator[_T]],
+    ) -> None:
+        self._directory = directory
+        self._read = read
+        self._open = open_piece
+        self._rows = max(1, read.wanted or 1)
+        self._few = _takes_few(read)
+        self._early: dict[_Request, Iterator[_T]] = {}
+        if self._few and (read.chooser is None or not read.chooser.checks):
+            self._foresee(directory, tables)
+        walks = [(table, _walk(directory, table, read)) for table in tables]
+        pieces = [_pieces(table, walk, read) for table, walk in walks]
+        self._pieces = heapq.merge(*pieces, key=_begins, reverse=read.reverse)
+        self._next = next(self._pieces, None)
+        self._asked: deque[tuple[BucketPart, Iterator[_T], bool]] = deque()
+        self._ahead = 0 if self._few else 1
+        self._listed = 0
+        self._unnoted = walks if self._few else []
+        self._share(sum(len(walk.met) for _, walk in walks))
+        self._look()
+
+    def _share(self, streams: int) -> None:
+        """Divide the memory, and the number of wanted rows, among these streams."""
+        self._streams = max(1, streams)
+
+    def _page_bytes(self, table: RowTable) -> int:
+        # For filtered blocks only headers are requested ahead, for filtered rows the rows.
+        checks = self._read.chooser is not None and not table.packed
+        pages = self._streams + (AHEAD if self._few or checks else 1)
+        return min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
+
+    def _foresee(self, directory: Directory, tables: Sequence[RowTable]) -> None:
+        """Request the buckets that are probably read first, before the directory answers."""
+        pieces, streams = foresee(directory, tables, self._read)
+        self._share(streams)
+        for piece in map(self._sized, pieces):
+            self._early[_request(piece)] = self._open(piece, self._read, None)
+
+    def _look(self) -> None:
+        first = self._asked[0][0] if self._asked else self._next
+        self.left = first is not None
+        self.start = 0 if first is None else first.start
+
+    def opens_before(self, t: int, sign: int) -> bool:
+        """Return whether the next bucket may hold rows that come before or at t."""
+        return (self.start - t) * sign <= 0
+
+    def take(self) -> Iterator[_T]:
+        """Return the rows of the next bucket; request some of the following buckets."""
+        while self._next is not None and self._asks(self._next):
+            self._ask(self._next)
+            self._next = next(self._pieces, None)
+        if self._unnoted:
+            met = [(table, walk.met) for table, walk in self._unnoted]
+            _note_first(self._directory, met, [each for each, _, _ in self._asked], self._read)
+            self._unnoted = []
+        piece, rows, filtered = self._asked.popleft()
+        self._look()
+        self._listed += max(1, piece.listed) if piece.rows else 0
+        if not self._few or (self._listed >= self._rows and self.start != piece.start):
+            self._ahead = min(max(1, 2 * self._ahead), AHEAD) if filtered else 1
+            self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
+        return rows
+
+    def _asks(self, piece: BucketPart) -> bool:
+        """Return whether a bucket is requested in addition to those that already are."""
+        if not self._asked or (piece.rows and len(self._asked) <= self._ahead):
+            return True
+        if not self._few or not piece.rows or len(self._asked) > AHEAD:
+            return False
+        listed = self._listed + sum(each.listed for each, _, _ in self._asked)
+        return piece.start == self._asked[0][0].start or listed < self._rows
+
+    def _sized(self, piece: BucketPart) -> BucketPart:
+        rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
+        page_bytes = self._page_bytes(piece.table)
+        return piece._replace(
+            page_rows=_page_rows(piece.rows, page_bytes),
+            page_bytes=page_bytes,
+            first_rows=rows if self._few else 0,
+        )
+
+    def _ask(self, piece: BucketPart) -> None:
+        if not piece.rows:
+            self._asked.append((piece, iter(()), False))
+            return
+        piece, chooser = self._sized(piece), self._read.chooser
+        chosen = None if chooser is None else chooser.choose(piece.table, piece.rows)
+        early = self._early.pop(_request(piece), None) if chosen is None else None
+        rows = self._open(piece, self._read, chosen) if early is None else early
+        self._asked.append((piece, rows, chosen is not None))

@@ -1,0 +1,351 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows copied as they are stored: the bytes of their columns go from SELECT to INSERT undecoded.
+
+Only the columns of the key, the size and the marks of a row are looked at. The chunks of a large
+message are acknowledged before its row is sent, as by every writer.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import Iterable, Iterator, NamedTuple, Protocol, Sequence
+
+from cassandra.query import BatchStatement, BatchType, BoundStatement
+
+from cassandra_ros.keys import writer_of
+from cassandra_ros.store.connection.cassandra import Cassandra
+from cassandra_ros.store.connection.cql_names import quote_name
+from cassandra_ros.store.connection.driver_errors import translate
+from cassandra_ros.store.connection.requests import Flight, Outcome, Patience, RawRow
+from cassandra_ros.store.rows.writer import BATCH_BYTES, BATCH_ROWS
+from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
+from cassandra_ros.store.tables.row_table import (
+    ALL,
+    KEYS,
+    UNSET,
+    Order,
+    RowTable,
+    bind,
+    decode_long,
+    encode_int,
+)
+from cassandra_ros.store.tables.schema import CHUNK_TTL_MARGIN_SEC, Schema
+
+PAGE_BYTES = 1024 * 1024
+"""Approximate size of a page of rows, bytes."""
+MAX_PAGE_ROWS = 2000
+UNKNOWN_ROW_BYTES = 16 * 1024
+"""Assumed size of a row, bytes, if the directory does not tell."""
+PAGE_CHUNKS = 4
+KEY_PAGE_ROWS = 5000
+GIVE_UP_SEC = 30.0
+"""How long a row is retried, s. It can be copied again later."""
+
+
+@dataclass(frozen=True)
+class StoredColumns:
+    """Columns of rows that two tables store alike, after the partition key."""
+
+    read: tuple[str, ...]
+    """Their names in the table that is read."""
+    write: tuple[str, ...]
+    """Their names in the table that is written."""
+    fields: tuple[str, ...] = ()
+    """Fields whose indexes both tables have; their columns are the last ones."""
+
+    def position(self, name: str) -> int:
+        """Return the position of one of our own columns; -1 = there is no such column."""
+        return self.read.index(name) if name in self.read else -1
+
+
+def shared_columns(source: RowTable, target: RowTable) -> StoredColumns | None:
+    """Return the columns of the rows of two tables; None if they store messages differently."""
+    here, there = source.metadata, target.metadata
+    alike = (
+        here.format == there.format
+        and (source.named, source.packed) == (target.named, target.packed)
+        and source.stored_columns == target.stored_columns
+    )
+    if not alike:
+        return None
+    if source.packed:
+        # A block must lie in one bucket, and readers look back as far as its table says.
+        fits = target.bucket_ns % source.bucket_ns == 0 and there.span_ns >= here.span_ns
+        names = source.stored_columns
+        return StoredColumns(names, names) if fits else None
+    fields = tuple(name for name in here.indexes if name in there.indexes)
+    return StoredColumns(
+        (*source.stored_columns, *(here.indexes[name] for name in fields)),
+        (*source.stored_columns, *(there.indexes[name] for name in fields)),
+        fields,
+    )
+
+
+class Part(NamedTuple):
+    """The rows of one partition that are copied."""
+
+    node: str
+    where: int | str
+    """A bucket, or the name of messages."""
+    writers: frozenset[int] | None = None
+    """Writer ids whose rows are copied; None = all."""
+    ends: tuple[Order, Order] = ALL
+    """Keys of the first and the last row; a block that reaches into this range is copied whole."""
+    since_us: int = 0
+    """Rows written up to this server time are left out, us."""
+    keys: frozenset[Order] | None = None
+    """Keys of the rows; None = all that the other fields choose."""
+    page_rows: int = PAGE_BYTES // UNKNOWN_ROW_BYTES
+
+
+class Destination(Protocol):
+    """What prepares for the rows of a table, and counts them."""
+
+    def open(self, node: str, bucket: int, writer: int) -> None:
+        """Prepare for rows of a writer in a bucket of the target, before the first one is sent."""
+
+    def connect(self, conn: int) -> None:
+        """Prepare for rows of a connection, before the first one is sent."""
+
+    def sent(self, nbytes: int) -> None:
+        """Note a number of bytes that are sent; it may wait."""
+
+
+@dataclass
+class CopyCounts:
+    """Numbers of what was copied."""
+
+    messages: int = 0
+    bytes: int = 0
+    """Number of bytes of columns and chunks that were sent."""
+    totals: dict[tuple[str, int, int], BucketTotals] = field(default_factory=dict)
+    """Node, bucket of the target and writer → counts of the rows."""
+    damaged: list[str] = field(default_factory=list)
+    """Error texts of rows that cannot be copied because they are damaged here."""
+
+
+class VerbatimCopy:
+    """Copies partitions of one table into another one that stores messages alike.
+
+    Args:
+        here, there: Connections of the two tables.
+        schema: Makes the chunk table of the target when it is first needed.
+    """
+
+    def __init__(
+        self,
+        source: RowTable,
+        target: RowTable,
+        columns: StoredColumns,
+        there: Cassandra,
+        schema: Schema,
+        destination: Destination,
+    ) -> None:
+        self._source, self._target = source, target
+        self._columns = columns
+        self._there, self._schema = there, schema
+        self._destination = destination
+        self.counts = CopyCounts()
+        self._flight = Flight(there.send_raw, Patience(GIVE_UP_SEC), there.outage)
+        self._failures: list[BaseException] = []
+        self._mutex = threading.Lock()
+        position = columns.position
+        self._chunks_at, self._crc_at = position("_nchunks"), position("_crc")
+        self._odd_at, self._gone_at = position("_odd"), position("_gone")
+        self._count_at, self._last_at = position("_n"), position("_last")
+        self._arrival_at = position("_arrival")
+        self._expires = bool(source.metadata.ttl and target.metadata.ttl)
+        extra = ['WRITETIME("_conn")'] + ['TTL("_conn")'] * self._expires
+        self._names = ", ".join([*map(quote_name, columns.read), *extra])
+        self._width = len(columns.read)
+
+    def copy(self, part: Part) -> None:
+        """Copy the rows of a partition; return when the target has acknowledged all of them.
+
+        Raises:
+            CassandraRosError: Rows could not be stored.
+        """
+        source = self._source
+        low, high = part.ends
+        if source.packed:  # an earlier block may reach into the range
+            low = (max(low[0] - source.metadata.span_ns, ALL[0][0]), low[1])
+        asked = source.select_range(
+            self._names,
+            source.place(part.node, part.where),
+            (low, high),
+            page_rows=part.page_rows,
+            what="copying",
+        )
+        for page in asked.pages():
+            self._copy_page(part, [row for row in page if self._takes(part, row)])
+            self._check()
+        self._flight.wait()
+        self._check()
+
+    def _takes(self, part: Part, row: RawRow) -> bool:
+        if row[2] is None:  # only the value of an index, or a mark of a deletion, is left
+            return False
+        if part.since_us and decode_long(row[self._width]) <= part.since_us:
+            return False
+        if self._last_at >= 0 and decode_long(row[self._last_at]) < part.ends[0][0]:
+            return False
+        if part.keys is not None and (decode_long(row[0]), decode_long(row[1])) not in part.keys:
+            return False
+        return part.writers is None or self._writer(row) in part.writers
+
+    def _writer(self, row: RawRow) -> int:
+        at = self._arrival_at if self._arrival_at >= 0 else 1
+        return writer_of(decode_long(row[at]))
+
+    def _copy_page(self, part: Part, rows: Sequence[RawRow]) -> None:
+        for conn in {row[2] for row in rows}:
+            self._destination.connect(decode_long(conn))
+        groups: dict[int, list[RawRow]] = {}
+        for row in rows:
+            bucket = 0 if self._target.named else self._target.bucket_of(decode_long(row[0]))
+            groups.setdefault(bucket, []).append(row)
+        whole: dict[int, list[RawRow]] = {}
+        for bucket, group in groups.items():
+            for writer in {self._writer(row) for row in group}:
+                self._destination.open(part.node, bucket, writer)
+            whole[bucket] = [row for row in group if self._copy_chunks(part, bucket, row)]
+        if any(row[self._chunks_at] is not None for row in rows):
+            self._flight.wait()  # a row is the commit mark of its chunks
+            self._check()
+        for bucket, group in whole.items():
+            for batch in _batches(group):
+                self._send(part, bucket, batch)
+
+    def _place(self, part: Part, bucket: int) -> tuple[bytes, bytes]:
+        return self._target.place(part.node, part.where if self._target.named else bucket)
+
+    def _copy_chunks(self, part: Part, bucket: int, row: RawRow) -> bool:
+        """Send the chunks of a row, if it has any; return whether the row must be sent, too."""
+        if self._gone_at >= 0 and row[self._gone_at] is not None:
+            # What was deleted here stays there: a block that is there is not written again.
+            key = decode_long(row[0]), decode_long(row[1])
+            there = self._target.select_range(
+                KEYS, self._place(part, bucket), (key, key), page_rows=1
+            )
+            if any(there.rows()):
+                return False
+        if row[self._chunks_at] is None:
+            return True
+        source, wanted = self._source, decode_long(row[self._chunks_at])
+        self._schema.ensure_chunk_table(self._target)
+        expires = self._expires and row[self._width + 1] is not None
+        insert = self._target.insert_stored_chunk() if expires else self._target.insert_chunk()
+        own = row[0] or b"", row[1] or b""
+        place = self._place(part, bucket)
+        where = source.place(part.node, part.where)
+        select = bind(source.select_chunks(), (*where, *own), PAGE_CHUNKS)
+        asked, numbers = source.send(select, "copying"), set()
+        for number, data in asked.rows():
+            values = [*place, *own, number or b"", data or b""]
+            if expires:
+                values.append(encode_int(self._left(row) + CHUNK_TTL_MARGIN_SEC))
+            self._submit(bind(insert, values), len(data or b""))
+            numbers.add(number)
+        if len(numbers) == wanted:
+            return True
+        self.counts.damaged.append(
+            f"the message of topic {source.metadata.topic} at {decode_long(row[0])} is incomplete: "
+            f"{len(numbers)} of {wanted} chunks; 'cassandra_bag check' tells more"
+        )
+        return False
+
+    def _left(self, row: RawRow) -> int:
+        """Return the remaining lifetime of a row, s."""
+        return max(1, decode_long(row[self._width + 1]))
+
+    def _send(self, part: Part, bucket: int, rows: Sequence[RawRow]) -> None:
+        target, place = self._target, self._place(part, bucket)
+        insert = target.insert_stored(self._columns.write, expires=self._expires)
+        statements, nbytes = [], 0
+        for row in rows:
+            values = [*place, *(UNSET if v is None else v for v in row[: self._width])]
+            if self._expires:
+                values.append(encode_int(self._left(row)))
+            statements.append((True, insert.query_id, values))
+            nbytes += _size(row)
+            self._count(part.node, bucket, row)
+        bound = BoundStatement(insert)
+        bound.values = list(place)
+        batch = BatchStatement(BatchType.UNLOGGED)
+        batch.is_idempotent = True
+        # Does at once what BatchStatement.add does row by row.
+        batch._statements_and_parameters = statements
+        batch.routing_key, batch.keyspace = bound.routing_key, insert.keyspace
+        self._submit(batch, nbytes)
+
+    def _submit(self, statement: BatchStatement | BoundStatement, nbytes: int) -> None:
+        self._destination.sent(nbytes)
+        self.counts.bytes += nbytes
+        self._flight.submit(statement, nbytes, self._outcome)
+
+    @property
+    def _outcome(self) -> Outcome:
+        def note(exc: BaseException | None) -> None:
+            if exc is not None:
+                with self._mutex:
+                    self._failures.append(exc)
+
+        return note
+
+    def _check(self) -> None:
+        if self._failures:
+            exc = self._failures[0]
+            what = f"copying topic {self._source.metadata.topic}"
+            raise translate(exc, what, self._there.outage.nodes()) from exc
+
+    def _count(self, node: str, bucket: int, row: RawRow) -> None:
+        counts, messages = self.counts, 1
+        if self._count_at >= 0:
+            gone = row[self._gone_at]
+            messages = decode_long(row[self._count_at]) - (decode_long(gone[:4]) if gone else 0)
+        else:
+            key = node, bucket, self._writer(row)
+            totals = counts.totals.setdefault(key, BucketTotals())
+            chunked = row[self._chunks_at] is not None
+            odd = row[self._odd_at] is not None
+            totals.count(decode_long(row[0]), decode_long(row[3]), chunked, odd)
+        counts.messages += messages
+
+
+def row_keys(table: RowTable, node: str, bucket: int, writers: frozenset[int]) -> dict[Order, int]:
+    """Return the keys of the rows, or blocks, of writers in a bucket → their write times, us."""
+    names = f'{KEYS}, WRITETIME("_conn")'
+    asked = table.select_range(names, table.place(node, bucket), page_rows=KEY_PAGE_ROWS)
+    found = ((decode_long(row[0]), decode_long(row[1]), row[2]) for row in asked.rows())
+    return {
+        (t, seq): decode_long(written)
+        for t, seq, written in found
+        if written is not None and writer_of(seq) in writers
+    }
+
+
+def page_rows(rows: Iterable[BucketRow]) -> int:
+    """Return the number of rows of a page, by what the directory says of their bucket."""
+    listed = list(rows)
+    count, nbytes = sum(row.rows for row in listed), sum(row.bytes for row in listed)
+    mean = nbytes / count + 100 if count and nbytes else UNKNOWN_ROW_BYTES
+    return max(1, min(MAX_PAGE_ROWS, int(PAGE_BYTES / mean)))
+
+
+def _batches(rows: Sequence[RawRow]) -> Iterator[Sequence[RawRow]]:
+    """Cut rows of one partition into batches."""
+    first = nbytes = 0
+    for n, row in enumerate(rows):
+        size = _size(row)
+        if n > first and (nbytes + size > BATCH_BYTES or n - first >= BATCH_ROWS):
+            yield rows[first:n]
+            first, nbytes = n, 0
+        nbytes += size
+    if first < len(rows):
+        yield rows[first:]
+
+
+def _size(row: RawRow) -> int:
+    return sum(len(value) + 4 for value in row if value is not None)

@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows of the directory as columns of numbers, for timelines of 100,000 buckets.
+
+As rows of Python objects they would take ten times as long as the server needs to send them.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.store.connection.cassandra import AT_ONCE, Cassandra
+from cassandra_ros.store.connection.requests import RawRow, answered, retried, sent_ahead
+from cassandra_ros.store.tables.row_table import decode_long
+
+Longs = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+SlotKey = Tuple[str, str, int]
+"""Table, node and slot: a partition of the directory."""
+SlotRange = Tuple[SlotKey, Sequence[int], int]
+"""A partition; its buckets, as the ends of a range (both included) or one by one; row limit."""
+
+ActiveRange = Tuple[str, int, int, int]
+"""Table and slot: a partition of cr_active; first and last of its buckets."""
+
+COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, t_min, t_max, toTimestamp(now())"
+PAGE_ROWS = 5000
+ACTIVE_PAGE_ROWS = 20_000
+_NO_LONG = bytes(8)
+_NEVER = (-(2**63)).to_bytes(8, "big", signed=True)
+
+
+class BucketColumns(NamedTuple):
+    """Rows of one partition of the directory in order: one entry for each bucket and writer."""
+
+    bucket: Longs
+    writer: Longs
+    closed: Bools
+    """Whether the counts are final; otherwise they are estimates."""
+    writing: Bools
+    """Whether the writer has not closed the bucket."""
+    cut: Bools
+    """Whether messages were deleted since the bucket was counted."""
+    age_ms: Longs
+    """Time since the heartbeat by the server's clock, ms; very large without a heartbeat."""
+    rows: Longs
+    """Number of messages; 0 if it is not known yet, or if all were deleted."""
+    bytes: Longs
+    t_min: Longs
+    t_max: Longs
+
+    def where(self, chosen: Bools) -> BucketColumns:
+        """Return the entries for which ``chosen`` is true."""
+        return BucketColumns._make(column[chosen] for column in self)
+
+
+def read_columns(
+    cassandra: Cassandra, table: str, wanted: Iterable[SlotRange], *, single: bool = False
+) -> Iterator[BucketColumns]:
+    """Read partitions of cr_bucket, several at once, and yield them in the order of ``wanted``.
+
+    Args:
+        table: Qualified name of cr_bucket.
+        wanted: The partitions and their buckets; each is taken when a request can be sent.
+        single: The buckets are listed one by one, otherwise they are the ends of a range.
+    """
+    which = "bucket IN ?" if single else "bucket >= ? AND bucket <= ?"
+    cql = (
+        f"SELECT {COLUMNS} FROM {table} WHERE tbl = ? AND node = ? AND slot = ? AND {which} LIMIT ?"
+    )
+    asked = (_ask(cassandra, cql, each, single) for each in wanted)
+    return (answer() for answer in sent_ahead(asked, AT_ONCE))
+
+
+def _ask(
+    cassandra: Cassandra, cql: str, wanted: SlotRange, single: bool
+) -> Callable[[], BucketColumns]:
+    place, buckets, limit = wanted
+    values = (*place, list(buckets), limit) if single else (*place, *buckets, limit)
+    rows = _ask_rows(cassandra, cql, values, PAGE_ROWS)
+    return lambda: columns_of(rows())
+
+
+def _ask_rows(
+    cassandra: Cassandra, cql: str, values: Sequence[object], page_rows: int
+) -> Callable[[], list[RawRow]]:
+    """Request rows as Cassandra stores their values; return what waits for all of them."""
+    bound = cassandra.prepare(cql).bind(values)
+    bound.fetch_size = page_rows
+    sent = [cassandra.send_raw(bound)]
+
+    def run() -> list[RawRow]:
+        future = sent.pop() if sent else cassandra.send_raw(bound)
+        return list(answered(future, outage))
+
+    outage = cassandra.outage
+    return partial(retried, "reading the directory of buckets", run, outage=outage)
+
+
+def count_closed(
+    cassandra: Cassandra, table: str, wanted: Iterable[ActiveRange]
+) -> tuple[int, set[tuple[str, int]]]:
+    """Count the messages in closed buckets of all robots.
+
+    Args:
+        table: Qualified name of cr_active.
+        wanted: The partitions and their buckets.
+
+    Returns:
+        The number of messages; node and bucket of those in which some writer's counts are not
+        final, which are not counted.
+    """
+    cql = (
+        f"SELECT node, bucket, entry, deleted FROM {table} "
+        "WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
+    )
+    total, others = 0, set()
+    asked = (_ask_rows(cassandra, cql, each, ACTIVE_PAGE_ROWS) for each in wanted)
+    for answer in sent_ahead(asked, AT_ONCE):
+        rows = answer()
+        moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
+        entries = [row[2] for row in rows if row[:2] not in moving]
+        total += int(_longs([messages_in(entry) for entry in entries if entry]).sum())
+        others |= {((node or b"").decode(), decode_long(bucket)) for node, bucket in moving}
+    return total, others
+
+
+def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
+    """Convert rows of COLUMNS, as Cassandra stores their values, to columns of numbers."""
+    columns = list(zip(*rows)) or [()] * 10
+    bucket, writer, state, deleted, beat, count, size, t_min, t_max, now = columns
+    writing = np.array([text == b"open" for text in state], bool)
+    cut = np.array([flag == b"\1" for flag in deleted], bool)
+    closed = np.array([text == b"closed" for text in state], bool) & ~cut
+    beats = _longs(beat, _NEVER)
+    age = np.where(beats < 0, 2**62, _longs(now) - np.maximum(beats, 0))
+    counts = [_longs(column) for column in (count, size, t_min, t_max)]
+    return BucketColumns(_longs(bucket), _longs(writer), closed, writing, cut, age, *counts)
+
+
+def _longs(values: Sequence[bytes | None], null: bytes = _NO_LONG) -> Longs:
+    joined = b"".join([null if value is None else value for value in values])
+    return np.frombuffer(joined, ">i8").astype(np.int64)
+
+
+def is_closed(entry: bytes | None) -> bool:
+    """Return whether the counts of an entry of cr_active are final; None = no entry."""
+    return entry is not None and entry[0] == 1
+
+
+def messages_in(entry: bytes) -> bytes:
+    """Return the number of messages of an entry of cr_active, as a big-endian integer."""
+    return entry[1:9]

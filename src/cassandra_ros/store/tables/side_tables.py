@@ -1,0 +1,477 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A keyspace, the tables in it that do not belong to one topic, and the schema lock.
+
+``IF NOT EXISTS`` on two coordinators gives the union of the columns, and two ALTERs can lose a
+comment: Cassandra 4 and 5 change the schema without consensus. So every DDL statement is sent
+by the holder of a row in ``cr_lock``, taken with a lightweight transaction.
+"""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import math
+import re
+import threading
+import time
+import uuid
+from copy import copy
+from typing import Mapping, Sequence
+
+from cassandra_ros.errors import (
+    CassandraRosError,
+    InvalidName,
+    KeyspaceNotFound,
+    SchemaConflict,
+    StoreUnavailable,
+)
+from cassandra_ros.store.connection.cassandra import Cassandra, CqlRow, SchemaChange
+from cassandra_ros.store.connection.cql_names import qualified, quote_name, quote_text
+from cassandra_ros.store.connection.requests import RETRY_SEC, Seconds
+
+_log = logging.getLogger(__name__)
+
+LOCK_TTL_SEC = 120
+"""Time after which the schema lock of a program that was killed runs out, s."""
+WAIT_SEC = 150.0
+"""Maximum time to wait for the schema lock, s."""
+TELL_SEC = 5.0
+"""Time after which a program that waits for the schema lock says so, s."""
+_TRIES = 8
+CHANGES_A_RENEWAL = 8
+"""Number of DDL statements before which the lock is renewed, if it is older than FRESH_SEC. Even
+on a machine so busy that each takes some seconds they end long before the lock runs out."""
+FRESH_SEC = 1.0
+"""Time after which the lock is renewed before further tables are made, s."""
+_SCHEMA = "schema"
+_LOCK = "cr_lock"
+_LOCK_COLUMNS = "name text PRIMARY KEY, owner uuid"
+
+SIDE_TABLES = {
+    # Connection headers without the definition, with the offset where it was cut out.
+    "cr_connection": (
+        "tbl text, conn bigint, topic text, number int, header blob, def_offset int, "
+        "md5sum text, def_hash blob, PRIMARY KEY ((tbl, conn))"
+    ),
+    # Texts with different comments have the same md5sum, so the hash of the text identifies it.
+    "cr_definition": "md5sum text, hash blob, text blob, PRIMARY KEY ((md5sum, hash))",
+    # Directory: the (slot, node) pairs of each table, and every bucket of each pair by writer.
+    "cr_node": "tbl text, slot bigint, node text, PRIMARY KEY ((tbl), slot, node)",
+    "cr_bucket": (
+        "tbl text, node text, slot bigint, bucket bigint, writer bigint, state text, "
+        "heartbeat timestamp, n bigint, bytes bigint, largest bigint, t_min bigint, "
+        "t_max bigint, odd bigint, deleted boolean, filled frozen<set<text>>, "
+        "PRIMARY KEY ((tbl, node, slot), bucket, writer)"
+    ),
+    # The same entries in the order of time, for questions about all robots: in one column, because
+    # a server reads a row of eleven in three times the time. See store/tables/directory.py.
+    "cr_active": (
+        "tbl text, slot bigint, bucket bigint, node text, writer bigint, entry blob, "
+        "heartbeat timestamp, deleted boolean, "
+        "PRIMARY KEY ((tbl, slot), bucket, node, writer)"
+    ),
+    # Recordings and imports; the writer id is the upper half of the _seq of their rows.
+    "cr_run": (
+        "node text, writer bigint, kind text, name text, source text, format text, "
+        "host text, started timestamp, ended timestamp, labels frozen<map<text, text>>, "
+        "stored frozen<map<text, bigint>>, lost frozen<map<text, bigint>>, "
+        "PRIMARY KEY ((writer), node)"
+    ),
+}
+LATER_TABLES = {
+    # Many keyspaces never need these tables: each is made before its first row is written.
+    # Messages that could not be recorded:
+    "cr_loss": (
+        "topic text, node text, writer bigint, kind text, first bigint, last bigint, n bigint, "
+        "PRIMARY KEY ((topic), node, writer, kind, first)"
+    ),
+    # Parameters and node graph at the start of a run, and its last heartbeat.
+    "cr_context": (
+        "writer bigint, node text, heartbeat timestamp, interrupted timestamp, context blob, "
+        "PRIMARY KEY ((writer), node)"
+    ),
+    # Send times and sequence numbers of messages of an MCAP file; see store/tables/sent_times.py.
+    "cr_sent": (
+        "writer bigint, node text, stripe bigint, sent blob, PRIMARY KEY ((writer, node), stripe)"
+    ),
+    # Squares of the ground in which robots were, and the poses whose visits are complete; see
+    # store/tables/place_index.py.
+    "cr_place": (
+        "frame text, robot text, size int, x int, y int, node text, t_in bigint, writer bigint, "
+        "t_out bigint, PRIMARY KEY ((frame, robot, size, x, y), node, t_in, writer)"
+    ),
+    "cr_placed": (
+        "tbl text, node text, writer bigint, robot text, low bigint, high bigint, "
+        "frames frozen<set<text>>, above frozen<map<text, text>>, "
+        "PRIMARY KEY ((tbl), node, writer, robot)"
+    ),
+    # Named time ranges of robots, and the slots in which those of a name, or of any name, begin;
+    # see store/tables/event_table.py.
+    "cr_event": (
+        "slot bigint, name text, t_start bigint, node text, id text, t_end bigint, writer bigint, "
+        "labels frozen<map<text, text>>, vals text, "
+        "PRIMARY KEY ((slot), name, t_start, node, id)"
+    ),
+    "cr_event_slot": (
+        "named boolean, name text, slot bigint, reach bigint, "
+        "PRIMARY KEY ((named, name), slot, reach)"
+    ),
+    # Books of copies to other stores: tables and their counterparts, and what is confirmed of each
+    # bucket; see store/tables/copy_books.py.
+    "cr_copy": (
+        "target uuid, tbl text, place text, topic text, there text, refused text, "
+        "PRIMARY KEY ((target), tbl)"
+    ),
+    "cr_copied": (
+        "target uuid, tbl text, node text, slot bigint, bucket bigint, writer bigint, there text, "
+        "heartbeat timestamp, seen bigint, final boolean, rule text, released boolean, "
+        "rows bigint, n bigint, bytes bigint, t_max bigint, "
+        "PRIMARY KEY ((target, tbl, node, slot), bucket, writer)"
+    ),
+    # Heartbeats of the target's buckets when all rows of a writer were there.
+    "cr_copied_beat": (
+        "target uuid, tbl text, node text, slot bigint, bucket bigint, writer bigint, "
+        "heartbeat timestamp, PRIMARY KEY ((target, tbl, node, slot), bucket, writer)"
+    ),
+}
+_COMMENT = "cassandra_ros side table, schema version 1"
+_COLUMN = re.compile(r"(?:^|, )([a-z0-9_]+) (?:frozen<|[a-z]+)")
+
+
+def column_names(columns: str) -> set[str]:
+    """Return the names of the columns in the definition of a side table."""
+    return set(_COLUMN.findall(columns.partition("PRIMARY KEY")[0]))
+
+
+class SchemaLock:
+    """Context manager that holds the schema lock; raises SchemaConflict after waiting for 150 s.
+
+    Args:
+        name: Name of the lock, for another one in the same table.
+    """
+
+    def __init__(self, cassandra: Cassandra, keyspace: str, name: str = _SCHEMA) -> None:
+        self._cassandra = cassandra
+        self._table = qualified(keyspace, _LOCK)
+        self._name = name
+        self._owner = uuid.uuid4()
+        self._held_since = -math.inf
+        """Monotonic time before which the lock was taken or renewed last, s."""
+
+    def __enter__(self) -> SchemaLock:
+        begun, told = time.monotonic(), False
+        pause = 0.02
+        while not self._take():
+            waited = time.monotonic() - begun
+            if waited > TELL_SEC and not told:
+                told = True
+                _log.warning("%s", self._held())
+            if waited > WAIT_SEC:
+                raise SchemaConflict(
+                    f"another client holds the schema lock in {self._table} for over "
+                    f"{WAIT_SEC:.0f} s; try again when it has finished"
+                )
+            time.sleep(pause)
+            pause = min(pause * 1.5, 0.5)
+        return self
+
+    def __exit__(self, failure: object, *exc_info: object) -> None:
+        try:
+            self._lwt(
+                f"DELETE FROM {self._table} WHERE name = ? IF owner = ?", (self._name, self._owner)
+            )
+        except CassandraRosError as exc:
+            if failure is None:
+                raise
+            # The error under the lock is the one that matters.
+            _log.warning("the schema lock runs out by itself within %d s: %s", LOCK_TTL_SEC, exc)
+
+    def _take(self) -> bool:
+        self._held_since = time.monotonic()
+        applied, owner = self._lwt(
+            f"INSERT INTO {self._table} (name, owner) VALUES (?, ?) IF NOT EXISTS "
+            f"USING TTL {LOCK_TTL_SEC}",
+            (self._name, self._owner),
+        )
+        # An earlier try whose answer was lost may have taken the lock.
+        return applied or owner == self._owner
+
+    def _held(self) -> str:
+        """Return a text that says what is waited for, and until when at most."""
+        cql = f"SELECT TTL(owner) FROM {self._table} WHERE name = ?"
+        rows = self._cassandra.execute(cql, (self._name,), what="reading the schema lock")
+        left = (rows[0][0] if rows else None) or LOCK_TTL_SEC
+        return (
+            f"waiting for the schema lock in {self._table}: another program makes or changes a "
+            f"table. If it was killed meanwhile, its lock runs out in {left} s; else this program "
+            f"waits up to {WAIT_SEC:.0f} s"
+        )
+
+    def change(self, cql: str, *, what: str) -> None:
+        """Run one DDL statement like schema_change, after checking that we still hold the lock.
+
+        Raises:
+            SchemaConflict: The lock ran out, and another client may be changing the schema.
+        """
+        self.renew()
+        self._cassandra.schema_change(cql, what=what)
+
+    def change_all(self, changes: Sequence[SchemaChange]) -> None:
+        """Run DDL statements that change different tables, as ``change`` runs one.
+
+        Raises:
+            SchemaConflict: The lock ran out. Some statements may have been carried out.
+        """
+        for first in range(0, len(changes), CHANGES_A_RENEWAL):
+            if time.monotonic() - self._held_since > FRESH_SEC:
+                self.renew()
+            self._cassandra.change_schema(changes[first : first + CHANGES_A_RENEWAL])
+
+    def renew(self) -> None:
+        """Check that we still hold the lock and restart its time; raises like ``change``."""
+        self._held_since = time.monotonic()
+        applied, _ = self._lwt(
+            f"UPDATE {self._table} USING TTL {LOCK_TTL_SEC} SET owner = ? WHERE name = ? "
+            "IF owner = ?",
+            (self._owner, self._name, self._owner),
+        )
+        if not applied:
+            raise SchemaConflict(
+                f"the schema lock in {self._table} ran out while it was held; try again"
+            )
+
+    def _lwt(self, cql: str, params: tuple[object, ...]) -> tuple[bool, object]:
+        # Under contention a transaction may time out with its outcome unknown. All three of ours
+        # contain the owner, so they can be repeated.
+        for left in reversed(range(_TRIES)):
+            try:
+                row = self._cassandra.execute_once(cql, params, what="taking the schema lock")[0]
+                # [applied], and if it is false the columns of the row that is there already.
+                return bool(row[0]), row[-1] if len(row) > 1 else None
+            except StoreUnavailable as exc:
+                if not left:
+                    raise
+                _log.debug("%s; asking again", exc)
+                time.sleep(0.2)
+        raise AssertionError("the loop above returns or raises")
+
+
+class SideTables:
+    """The side tables of one keyspace, and the keyspace itself, which need not exist.
+
+    Writers make missing tables before they write; readers treat a missing table as an empty one.
+    Thread-safe.
+
+    Raises:
+        InvalidName: The name is not 1 to 48 letters, digits and underscores.
+    """
+
+    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+        if not isinstance(keyspace, str) or not re.match(r"[A-Za-z0-9_]{1,48}\Z", keyspace):
+            raise InvalidName(
+                f"{keyspace!r} is not a keyspace name: use 1 to 48 letters, digits and underscores"
+            )
+        self._cassandra = cassandra
+        self.keyspace = keyspace
+        names = (_LOCK, *SIDE_TABLES, *LATER_TABLES)
+        self._qualified = {name: qualified(keyspace, name) for name in names}
+        self.retry_sec: Seconds = RETRY_SEC
+        """How long one request is retried, s."""
+        self._there: frozenset[str] = frozenset()
+        self._keyspace_made = self._made = False
+        self._mutex = threading.Lock()
+
+    def patient(self, retry_sec: Seconds) -> SideTables:
+        """Return these side tables for a client with another retry time, s."""
+        patient = copy(self)
+        patient.retry_sec = retry_sec
+        return patient
+
+    def has(self, name: str) -> bool:
+        """Return whether a table exists; the server is asked each time until it does."""
+        if name not in self._there:
+            self._there = self._list()
+        return name in self._there
+
+    def select(
+        self, table: str, names: str, where: str = "", params: Sequence[object] = (), *, what: str
+    ) -> list[CqlRow]:
+        """Return columns of the rows of a table that match a condition; '' = of all rows."""
+        if not self.has(table):
+            return []
+        condition = f" WHERE {where}" if where else ""
+        return self._run(f"SELECT {names} FROM {self.qualified(table)}{condition}", params, what)
+
+    def insert(
+        self,
+        table: str,
+        columns: Mapping[str, object],
+        what: str,
+        *,
+        now: Sequence[str] = (),
+        ttl: int = 0,
+    ) -> None:
+        """Write a row for ttl seconds (0 = for ever).
+
+        The server puts its time into columns ``now``.
+        """
+        names = ", ".join([*columns, *now])
+        marks = ", ".join(["?"] * len(columns) + ["toTimestamp(now())"] * len(now))
+        cql = f"INSERT INTO {self.qualified(table)} ({names}) VALUES ({marks}) USING TTL ?"
+        self._run(cql, (*columns.values(), ttl), what)
+
+    def insert_many(
+        self, table: str, names: Sequence[str], rows: Sequence[CqlRow], what: str, *, ttl: int = 0
+    ) -> None:
+        """Write rows with these columns, for ttl seconds (0 = for ever)."""
+        marks = ", ".join("?" for _ in names)
+        cql = (
+            f"INSERT INTO {self.qualified(table)} ({', '.join(names)}) VALUES ({marks}) USING TTL ?"
+        )
+        values = [(*row, ttl) for row in rows]
+        self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
+
+    def select_many(
+        self, table: str, names: str, where: str, params: Sequence[CqlRow], what: str
+    ) -> list[list[CqlRow]]:
+        """Return columns of the rows that match a condition, for each set of parameters."""
+        if not self.has(table):
+            return []
+        cql = f"SELECT {names} FROM {self.qualified(table)} WHERE {where}"
+        return self._cassandra.execute_many(cql, params, what=what, retry_sec=self.retry_sec)
+
+    def delete(self, table: str, key: Sequence[str], values: Sequence[CqlRow], what: str) -> None:
+        """Delete the rows with one of some values in the columns of the key."""
+        where = " AND ".join(f"{name} = ?" for name in key)
+        cql = f"DELETE FROM {self.qualified(table)} WHERE {where}"
+        self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
+
+    def qualified(self, table: str) -> str:
+        """Return the quoted name of a table with its keyspace."""
+        return self._qualified[table]
+
+    def _run(self, cql: str, params: Sequence[object], what: str) -> list[CqlRow]:
+        return self._cassandra.execute(cql, params, what=what, retry_sec=self.retry_sec)
+
+    def absence(self) -> str:
+        """Return a sentence with similar names if the keyspace is missing; '' if it exists."""
+        rows = self._cassandra.execute(
+            "SELECT keyspace_name FROM system_schema.keyspaces", what="listing the keyspaces"
+        )
+        names = sorted(name for (name,) in rows if not name.startswith("system"))
+        if self.keyspace in names:
+            return ""
+        near = difflib.get_close_matches(self.keyspace, names, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else "give the name of another,"
+        where = f"{','.join(self._cassandra.hosts)}:{self._cassandra.port}"
+        return (
+            f"there is no keyspace {self.keyspace!r} at {where}; {hint} or make it: by a "
+            f"recording, an import, or connectToKeyspace({self.keyspace!r})"
+        )
+
+    def require_keyspace(self) -> None:
+        """Raise KeyspaceNotFound, with similar names, if the keyspace does not exist."""
+        absence = self.absence()
+        if absence:
+            raise KeyspaceNotFound(absence)
+
+    def make_keyspace(self) -> None:
+        """Make the keyspace with min(3, nodes) copies; warn if an existing one has fewer."""
+        if self._keyspace_made:
+            return
+        wanted = min(3, self._cassandra.live_nodes())
+        rows = self._cassandra.system_schema("keyspaces", "replication", self.keyspace)
+        if rows:
+            _warn_of_factor(self.keyspace, rows[0][0], wanted)
+        else:
+            self._cassandra.require_nodes(self.keyspace)
+            datacenter = quote_text(self._cassandra.local_datacenter())
+            if wanted > 1:
+                _log.warning(
+                    "making keyspace %s: %d nodes have to agree on it and on each of its tables, "
+                    "which may take a minute or two",
+                    self.keyspace,
+                    self._cassandra.live_nodes(),
+                )
+            self._cassandra.schema_change(
+                f"CREATE KEYSPACE IF NOT EXISTS {quote_name(self.keyspace)} WITH replication = "
+                f"{{'class': 'NetworkTopologyStrategy', {datacenter}: {wanted}}}",
+                what=f"making keyspace {self.keyspace}",
+            )
+        self._keyspace_made = True
+
+    def change_rights(self, statement: str) -> None:
+        """Run a statement that makes a role or grants a right; it does not change the schema."""
+        self._cassandra.execute_text(statement, what=statement)
+
+    def make(self, *later: str) -> None:
+        """Make the keyspace and its side tables if they are missing, before the first write.
+
+        Args:
+            later: Those of LATER_TABLES that are about to be written.
+        """
+        with self._mutex:
+            if self._made and self._there.issuperset(later):
+                return
+            self.make_keyspace()
+            wanted = {**SIDE_TABLES, **{name: LATER_TABLES[name] for name in later}}
+            there = self._list()
+            if _LOCK not in there:
+                self._keyspace_made = False  # another client may have dropped it since
+                self.make_keyspace()
+                self._make_lock_table()
+            if not there.issuperset(wanted):
+                with SchemaLock(self._cassandra, self.keyspace) as lock:
+                    there = self._names()
+                    lock.change_all(
+                        [
+                            (
+                                f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
+                                f"({wanted[name]}) WITH comment = {quote_text(_COMMENT)}",
+                                f"making table {name}",
+                            )
+                            for name in sorted(set(wanted) - there)
+                        ]
+                    )
+                self._there = there | set(wanted)
+            else:
+                self._there = there
+            self._made = True
+
+    def forget(self) -> None:
+        """Check the keyspace and its side tables anew at the next ``make``."""
+        with self._mutex:
+            self._made = self._keyspace_made = False
+            self._there = frozenset()
+
+    def _make_lock_table(self) -> None:
+        # The lock cannot guard its own creation. With a fixed id racing clients make the same
+        # table; its columns never change, and it is never dropped while the keyspace exists.
+        table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{self.keyspace}/{_LOCK}")
+        self._cassandra.schema_change(
+            f"CREATE TABLE IF NOT EXISTS {self.qualified(_LOCK)} ({_LOCK_COLUMNS}) "
+            f"WITH id = {table_id} AND gc_grace_seconds = 3600",
+            what=f"making table {_LOCK}",
+        )
+
+    def _list(self) -> frozenset[str]:
+        # A caller that looks for a table is about to use the keyspace.
+        self._cassandra.use_keyspace(self.keyspace)
+        return self._names()
+
+    def _names(self) -> frozenset[str]:
+        rows = self._cassandra.system_schema("tables", "table_name", self.keyspace)
+        return frozenset(name for (name,) in rows)
+
+
+def _warn_of_factor(keyspace: str, replication: Mapping[str, str], wanted: int) -> None:
+    factors = [int(v) for k, v in replication.items() if k != "class" and str(v).isdigit()]
+    if factors and min(factors) < wanted:
+        _log.warning(
+            "keyspace %s keeps %d copies of each row where this cluster could keep %d; "
+            "a lost node loses data: ALTER KEYSPACE … WITH replication, then repair",
+            keyspace,
+            min(factors),
+            wanted,
+        )

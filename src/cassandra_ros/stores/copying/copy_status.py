@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the books say: by target and topic what is copied, what waits, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Iterable
+from uuid import UUID
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.read import EVERYTHING
+from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.tables.copy_books import CopiedTable, CopyBooks
+from cassandra_ros.store.tables.directory import slot_of
+from cassandra_ros.stores.copying.bucket_copy import Selection
+from cassandra_ros.stores.copying.named_copy import named_rows
+from cassandra_ros.stores.copying.uncopied import uncopied
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.stored_totals import buckets_of, count_rows
+from cassandra_ros.topics.topic_table import TopicTable
+
+
+@dataclass
+class TopicStatus:
+    """What a target has of a topic, by the books."""
+
+    target: str
+    """Address and keyspace of the target."""
+    topic: str
+    copied: int = 0
+    """Number of messages that the target has acknowledged."""
+    copied_bytes: int = 0
+    left_out: int = 0
+    """Number of messages that a rule does not take."""
+    waiting: int = 0
+    """Number of messages that are not confirmed there."""
+    waiting_bytes: int = 0
+    waiting_sec: float = 0.0
+    """Time ranges of the messages that wait, added up over robots and writers, s."""
+    refused: str = ""
+    """Why the topic was not copied the last time; '' = it was."""
+
+
+def copy_status(catalog: Catalog, topics: Iterable[str] | None = None) -> list[TopicStatus]:
+    """Return what each target has of topics (None = all), by target and topic.
+
+    Only the books and the directory here are read, so the target need not answer.
+
+    Raises:
+        TopicNotFound: There is no such topic.
+    """
+    books = CopyBooks(catalog.keyspace.side_tables)
+    entries: dict[UUID, dict[str, CopiedTable]] = {}
+    for entry in (each for each in books.tables() if not each.gone):
+        entries.setdefault(entry.target, {})[entry.table] = entry
+    tables = catalog.tables(topics)
+    found: dict[tuple[str, str], TopicStatus] = {}
+    for target, known in entries.items():
+        place = next(iter(known.values())).place
+        for table in tables:
+            topic = table.metadata.topic
+            status = found.setdefault((place, topic), TopicStatus(place, topic))
+            mine = known.get(table.name)
+            if mine is not None:
+                status.refused = status.refused or mine.refused
+                if not (mine.there or mine.refused):
+                    status.left_out += count_rows(catalog.keyspace.directory, [table], EVERYTHING)
+                    continue
+            _add(catalog, books, target, table, status)
+    return [found[key] for key in sorted(found)]
+
+
+def _add(
+    catalog: Catalog, books: CopyBooks, target: UUID, table: TopicTable, status: TopicStatus
+) -> None:
+    if table.named:
+        _add_named(books, target, table, status)
+        return
+    directory = catalog.keyspace.directory
+    rows = settle(directory, table, buckets_of(directory, table))
+    slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
+    known = {(b.node, b.bucket, b.writer): b for b in books.buckets(target, table.name, slots)}
+    for row in rows:
+        book = known.get((row.node, row.bucket, row.writer))
+        known_rows, copied, nbytes, t_max = 0, 0, 0, row.t_min
+        # With fewer messages than the book tells of, some were deleted: what is there may be new.
+        alike = book is not None and book.rows <= row.rows
+        if book is not None and (row.cut or alike or book.confirms(row, [book.there])):
+            known_rows, copied = min(book.rows, row.rows), min(book.n, row.rows)
+            nbytes = book.bytes
+            t_max = max(t_max, book.t_max)
+            if row.cut or not (row.closed or book.rule or copied == row.rows):
+                # The books have what the directory said of a bucket that was being written.
+                known_rows = copied = row.rows - uncopied(table, row, [book]).messages
+                nbytes = row.bytes * copied // row.rows if row.rows else 0
+        status.copied += copied
+        status.copied_bytes += nbytes
+        status.left_out += known_rows - copied
+        if row.rows > known_rows:
+            status.waiting += row.rows - known_rows
+            status.waiting_bytes += row.bytes * (row.rows - known_rows) // row.rows
+            status.waiting_sec += max(0, row.t_max - t_max) / SECOND_NS
+
+
+def _add_named(books: CopyBooks, target: UUID, table: TopicTable, status: TopicStatus) -> None:
+    known = books.buckets(target, table.name, books.slots(target, table.name))
+    seen = {(book.node, book.writer): book.seen for book in known}
+    for row in named_rows(table, Selection()):
+        if row.written_us <= seen.get((row.node, row.writer), 0):
+            status.copied += 1
+            status.copied_bytes += row.size
+        else:
+            status.waiting += 1
+            status.waiting_bytes += row.size

@@ -1,0 +1,177 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keeps a store under a size: what another store has acknowledged is deleted first, oldest first.
+
+Whole buckets of one writer are deleted, and none that a client is writing. What no store has is
+deleted only if that is asked for, and is then a loss.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import NamedTuple
+from uuid import UUID
+
+from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.tables.copy_books import CopiedBucket, CopyBooks
+from cassandra_ros.store.tables.directory import BucketRow, slot_of
+from cassandra_ros.store.tables.registry import Loss, LossKind
+from cassandra_ros.stores.copying.bucket_copy import is_settled
+from cassandra_ros.stores.copying.uncopied import uncopied as uncopied_of
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.removal import delete_time_range
+from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.upkeep.retention_rules import Retained
+
+_log = logging.getLogger(__name__)
+
+NEARLY_FULL = 0.8
+"""Share of the maximum size that is not copied from which a warning is given."""
+
+
+@dataclass
+class QuotaReport:
+    """What was deleted, or would be, to keep a store under a size."""
+
+    max_bytes: int
+    bytes: int = 0
+    """Serialised bytes of all messages with a time key afterwards."""
+    uncopied_bytes: int = 0
+    """Bytes of these messages that no other store has acknowledged."""
+    topics: dict[str, Retained] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """Share of the maximum size in use by messages that no other store has."""
+        return self.uncopied_bytes / self.max_bytes if self.max_bytes else 1.0
+
+    @property
+    def nearly_full(self) -> bool:
+        """Whether messages that no other store has take nearly all of the maximum size."""
+        return self.share >= NEARLY_FULL
+
+
+class Quota:
+    """A maximum size of a store, which a program keeps while it runs.
+
+    Args:
+        max_bytes, uncopied: As in keep_under.
+    """
+
+    def __init__(self, max_bytes: int, *, uncopied: bool = False) -> None:
+        self._max_bytes, self._uncopied = max_bytes, uncopied
+        self.report: QuotaReport | None = None
+        """State after the last ``keep``; None = there was none."""
+
+    def keep(self, catalog: Catalog) -> None:
+        """Delete messages until the store is small enough; warn when it becomes nearly full."""
+        before = self.report is not None and self.report.nearly_full
+        self.report = keep_under(catalog, self._max_bytes, uncopied=self._uncopied)
+        if self.report.nearly_full and not before:
+            share = f"{self.report.share:.0%}"
+            _log.warning("messages that no other store has take %s of the maximum size", share)
+
+
+class _Entry(NamedTuple):
+    table: TopicTable
+    row: BucketRow
+    books: list[tuple[UUID, CopiedBucket]]
+    """Books that confirm all its messages."""
+    others: list[tuple[UUID, CopiedBucket]]
+    """Books of the other targets of the table, which have some of its messages or none."""
+    uncopied_bytes: int
+    """Approximate bytes of the messages that no other store has."""
+
+
+def keep_under(
+    catalog: Catalog, max_bytes: int, *, uncopied: bool = False, dry_run: bool = False
+) -> QuotaReport:
+    """Delete messages until the topics with a time key take at most a number of bytes.
+
+    Args:
+        uncopied: Also delete messages that no other store has, if there is no other way.
+        dry_run: Only count the messages.
+    """
+    catalog.adder.close()
+    books = CopyBooks(catalog.keyspace.side_tables)
+    report, entries = QuotaReport(max_bytes), _entries(catalog, books)
+    for table, row, *_ in entries:
+        topic = table.metadata.topic
+        report.topics.setdefault(topic, Retained(topic)).messages += row.rows
+    report.bytes = sum(entry.row.bytes for entry in entries)
+    report.uncopied_bytes = sum(entry.uncopied_bytes for entry in entries)
+    entries.sort(key=lambda entry: (not entry.books, entry.row.t_max))
+    for entry in entries:
+        if report.bytes <= max_bytes:
+            break
+        if not is_settled(entry.row) or not (entry.books or uncopied):
+            continue
+        if not (dry_run or _delete(catalog, books, entry)):
+            continue
+        report.topics[entry.table.metadata.topic].dropped += entry.row.rows
+        report.bytes -= entry.row.bytes
+        report.uncopied_bytes -= entry.uncopied_bytes
+    return report
+
+
+def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
+    directory = catalog.keyspace.directory
+    targets: dict[str, set[UUID]] = {}
+    for entry in (each for each in books.tables() if not each.gone):
+        targets.setdefault(entry.table, set()).add(entry.target)
+    found = []
+    for table in catalog.tables(None):
+        if table.named:
+            continue
+        # By robot: the books have the heartbeats of cr_bucket.
+        listed = directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
+        there = [row for row in listed if not row.expired(table.metadata.ttl)]
+        rows = [row for row in settle(directory, table, there) if row.rows]
+        slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
+        known: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
+        for target in targets.get(table.name, ()):
+            for book in books.buckets(target, table.name, slots):
+                key = (book.node, book.bucket, book.writer)
+                known.setdefault(key, []).append((target, book))
+        for row in rows:
+            place = (row.node, row.bucket, row.writer)
+            mine = dict.fromkeys(targets.get(table.name, ()), CopiedBucket(*place))
+            mine.update(known.get(place, []))
+            confirming: list[tuple[UUID, CopiedBucket]] = []
+            others: list[tuple[UUID, CopiedBucket]] = []
+            for target, book in mine.items():
+                confirms = book.confirms(row, [book.there])
+                (confirming if confirms else others).append((target, book))
+            left = 0 if confirming else uncopied_of(table, row, [b for _, b in others]).messages
+            found.append(_Entry(table, row, confirming, others, row.bytes * left // row.rows))
+    return found
+
+
+def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
+    """Delete the messages of an entry.
+
+    Returns:
+        False: Messages were added since the entry was listed, and nothing was deleted.
+    """
+    table, row, confirming, others, _ = entry
+    found = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
+    now = next((each for each in found if each.writer == row.writer), row)
+    if not is_settled(now) or now.rows > row.rows:
+        return False
+    if confirming and not any(book.confirms(now, [book.there]) for _, book in confirming):
+        return False
+    for target, book in (*confirming, *others):
+        # Before the deletion, which must not be repeated there, also of a part or what a rule took.
+        books.release(target, table.name, book)
+    low = row.bucket * table.bucket_ns
+    time_range = TimeRange(low, low + table.bucket_ns - 1)
+    whose = Whose((row.node,), frozenset([row.writer]))
+    lost = None if confirming else uncopied_of(table, row, [book for _, book in others])
+    count = delete_time_range(catalog.keyspace, [table], Read(time_range, whose))
+    if lost is not None and min(count, lost.messages):
+        place = (table.metadata.topic, row.node, row.writer, LossKind.NO_ROOM)
+        times = lost.t_min, lost.t_max
+        catalog.keyspace.registry.put_loss(Loss(*place, *times, min(count, lost.messages)))
+    return True

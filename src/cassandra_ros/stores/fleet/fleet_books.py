@@ -1,0 +1,318 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which buckets of a store need not be read, because a store that is named before it has them.
+
+The books of a store say what another store has acknowledged (``store/tables/copy_books.py``). That
+is believed of a bucket only while nothing has changed on either side since: both directories list
+it as closed, with the heartbeats that the books noted. So a message that was deleted in the other
+store still comes from this one. In all other cases both stores are read.
+
+Books and directories are read before any message is: what is copied while an answer is read may
+lie behind the place up to which the other store was read.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import partial
+from typing import Callable, Collection, Iterable, Mapping, NamedTuple, Protocol, Sequence, TypeVar
+from uuid import UUID
+
+from cassandra_ros.errors import AccessDenied
+from cassandra_ros.keys import MAX_NS, writer_of
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.read import Read, Skip, TimeRange, Whose
+from cassandra_ros.store.tables.copy_books import CopiedTable, CopyBooks, target_id
+from cassandra_ros.store.tables.directory import SLOT_BUCKETS, BucketRow, slot_of
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+_log = logging.getLogger(__name__)
+_T = TypeVar("_T")
+_S = TypeVar("_S")
+
+Topics = Mapping[str, Collection[str]]
+"""Name of a store → names of the topics that are read there."""
+MOST_SLOTS = 64
+"""Maximum number of slots of a table, each of one robot, whose books are read; with more, all
+stores are read."""
+MOST_RANGES = 64
+"""Maximum number of time ranges that are read between those that the directory counts."""
+
+
+class StoredPlace(Protocol):
+    """A message, as FleetRow has it."""
+
+    t: int
+    node: str
+    seq: int
+
+    @property
+    def topic(self) -> str:
+        """Name of the topic."""
+
+    @property
+    def stores(self) -> list[str]:
+        """Names of the stores that gave it."""
+
+
+class Stores(Protocol):
+    """The stores that a question is asked, as FleetAnswer has them."""
+
+    catalogs: dict[str, Catalog]
+    missing: dict[str, str]
+
+    def each(self, values: Mapping[str, _S], work: Callable[[_S], _T]) -> dict[str, _T]:
+        """Call a function with a value of each store that answers."""
+
+
+class _Copy(NamedTuple):
+    """The table of another store that takes the rows of a table."""
+
+    store: str
+    target: UUID
+    table: str
+
+
+@dataclass
+class _Buckets:
+    """The buckets of one table and robot, in the time range of a read."""
+
+    copy: _Copy
+    there: set[int] = field(default_factory=set)
+    """Those that the other store has whole."""
+    here: set[int] = field(default_factory=set)
+    """Those that have to be read here."""
+
+
+class FleetBooks:
+    """The books of the stores of one question, as far as they concern stores named before.
+
+    Args:
+        stores: The stores that are asked.
+        believed: Whether the books count. What another store has acknowledged is read there by a
+            quorum, perhaps not by fewer of its nodes.
+    """
+
+    def __init__(self, stores: Stores, *, believed: bool) -> None:
+        self._stores = stores
+        self._copies: dict[str, dict[str, _Copy]] = {}
+        """Store → name of a table → its copy."""
+        names = list(stores.catalogs) if believed else []
+        books = stores.each({name: stores.catalogs[name] for name in names[1:]}, _entries)
+        if not any(books.values()):
+            return
+        ids = stores.each(stores.catalogs, _identity)
+        tables = stores.each(stores.catalogs, lambda c: c.keyspace.schema.listing().visible)
+        for name, entries in books.items():
+            for store in names[: names.index(name)]:
+                for entry in entries:
+                    mine = tables.get(name, {}).get(entry.table)
+                    theirs = tables.get(store, {}).get(entry.there)
+                    if entry.target == ids.get(store) and _are_alike(mine, theirs):
+                        copy = _Copy(store, entry.target, entry.there)
+                        self._copies.setdefault(name, {}).setdefault(entry.table, copy)
+
+    def spared(self, topics: Topics, read: Read) -> Spared:
+        """Return which buckets need not be read, as books and directories are now."""
+        asked = {
+            name: partial(self._read, topics, name, read)
+            for name in topics
+            if any(self._is_asked(copy) for copy in self._copies.get(name, {}).values())
+        }
+        return Spared(self._stores, topics, self._stores.each(asked, lambda work: work()))
+
+    def _is_asked(self, copy: _Copy) -> bool:
+        return copy.store not in self._stores.missing
+
+    def _read(self, topics: Topics, store: str, read: Read) -> dict[tuple[str, str], _Buckets]:
+        """Return the buckets of a store by table and robot."""
+        catalog = self._stores.catalogs[store]
+        found: dict[tuple[str, str], _Buckets] = {}
+        for table in catalog.tables(list(topics[store])):
+            copy = self._copies[store].get(table.name)
+            if copy is None or not self._is_asked(copy) or table.named:
+                continue
+            if table.metadata.topic not in topics.get(copy.store, ()):
+                continue
+            ends = (slot_of(table.bucket_of(min(t, MAX_NS))) for t in read.time_range)
+            nodes = read.whose.nodes
+            slots = [
+                (slot, node)
+                for slot, node in catalog.keyspace.directory.nodes(table.name, *ends)
+                if nodes is None or node in nodes
+            ]
+            if len(slots) <= MOST_SLOTS:
+                for slot, node in slots:
+                    buckets = found.setdefault((table.name, node), _Buckets(copy))
+                    self._compare(catalog, table.name, (slot, node), buckets)
+        return found
+
+    def _compare(
+        self, catalog: Catalog, table: str, place: tuple[int, str], buckets: _Buckets
+    ) -> None:
+        """Add the buckets of a slot and robot of a table."""
+        copy = buckets.copy
+        rows = _entries_of(catalog, table, place)
+        sure = _confirmed(catalog, copy, table, place, rows)
+        asked = {copy.store: self._stores.catalogs[copy.store]} if sure else {}
+        found = self._stores.each(asked, lambda c: _entries_of(c, copy.table, place))
+        theirs = [row for answer in found.values() for row in answer]
+        beats = {(row.bucket, row.writer): row.heartbeat for row in theirs if row.closed}
+        for row in rows:
+            key = row.bucket, row.writer
+            same = key in sure and beats.get(key) == sure[key]
+            (buckets.there if same else buckets.here).add(row.bucket)
+        buckets.there -= buckets.here  # of another writer
+
+
+class Spared:
+    """The buckets that need not be read for one read.
+
+    Args:
+        stores: The stores that are asked.
+        topics: The topics that are read.
+        buckets: Name of a store → its buckets by table and robot.
+    """
+
+    def __init__(
+        self,
+        stores: Stores,
+        topics: Topics,
+        buckets: Mapping[str, Mapping[tuple[str, str], _Buckets]],
+    ) -> None:
+        self._stores, self._topics = stores, topics
+        self._buckets = {
+            store: found
+            for store, found in buckets.items()
+            if any(each.there for each in found.values())
+        }
+        self.targets = {
+            each.copy.store for found in self._buckets.values() for each in found.values()
+        }
+        """The stores that are read instead."""
+
+    def __bool__(self) -> bool:
+        return bool(self._buckets)
+
+    def skip(self, store: str) -> Skip | None:
+        """Return which buckets of a store are left out; None = none."""
+        return partial(self._is_there, store) if store in self._buckets else None
+
+    def _is_there(self, store: str, table: TopicTable, node: str, bucket: int) -> bool:
+        buckets = self._buckets.get(store, {}).get((table.name, node))
+        return (
+            buckets is not None
+            and bucket in buckets.there
+            and buckets.copy.store not in self._stores.missing
+        )
+
+    def copies(self, row: StoredPlace) -> list[tuple[str, StoredRow]]:
+        """Return the rows of a message in the stores that were not read for it."""
+        writers = frozenset([writer_of(row.seq)])
+        read = Read(TimeRange(row.t, row.t), Whose((row.node,), writers))
+
+        def find(store: str) -> list[StoredRow]:
+            catalog = self._stores.catalogs[store]
+            rows = catalog.keyspace.rows.read(catalog.tables([row.topic]), read)
+            return [each for each in rows if each.seq == row.seq]
+
+        left = [name for name in self._buckets if row.topic in self._topics[name]]
+        asked = {name: name for name in left if name not in row.stores}
+        found = self._stores.each(asked, find)
+        return [(name, each) for name, rows in found.items() for each in rows]
+
+    def shared(
+        self, tables: Mapping[str, Sequence[TopicTable]], read: Read
+    ) -> list[TimeRange] | None:
+        """Return the time ranges of a read in which not only the first store has to be read.
+
+        Args:
+            tables: The tables of a topic in each store, the first of which has one.
+
+        Returns:
+            Ranges in order that begin and end with buckets of the first store; None = too many, or
+            a store that should be read instead of another does not answer any more.
+        """
+        (own,), *_ = tables.values()
+        length, (low, high) = own.bucket_ns, read.time_range
+        others = {name: partial(self._busy, name, tables[name], read) for name in list(tables)[1:]}
+        found = self._stores.each(others, lambda busy: list(busy()))
+        if not self.targets.isdisjoint(self._stores.missing):
+            return None
+        merged: list[TimeRange] = []
+        for begin, end in sorted(each for ranges in found.values() for each in ranges):
+            first, last = begin // length * length, (end // length + 1) * length - 1
+            if merged and first <= merged[-1].high + 1:
+                first, last = merged[-1].low, max(merged.pop().high, last)
+            merged.append(TimeRange(max(low, first), min(high, last)))
+        return merged if len(merged) <= MOST_RANGES else None
+
+    def _busy(self, store: str, tables: Sequence[TopicTable], read: Read) -> Iterable[TimeRange]:
+        """Yield the time ranges of the buckets of a store that have to be read there."""
+        catalog, nodes = self._stores.catalogs[store], read.whose.nodes
+        for table in tables:
+            length = table.bucket_ns
+            first, last = (table.bucket_of(min(t, MAX_NS)) for t in read.time_range)
+            slots = catalog.keyspace.directory.nodes(table.name, slot_of(first), slot_of(last))
+            for slot, node in slots:
+                if nodes is None or node in nodes:
+                    for row in _entries_of(catalog, table.name, (slot, node)):
+                        there = self._is_there(store, table, node, row.bucket)
+                        if first <= row.bucket <= last and not there:
+                            yield TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
+
+
+def _identity(catalog: Catalog) -> UUID | None:
+    return target_id(catalog.keyspace.cassandra, catalog.keyspace.name)
+
+
+def _entries(catalog: Catalog) -> list[CopiedTable]:
+    """Return the tables in the books of a store; none if the user may not read them."""
+    try:
+        entries = CopyBooks(catalog.keyspace.side_tables).tables()
+    except AccessDenied as exc:
+        _log.info("the books of copies are not used: %s", exc)
+        return []
+    return [entry for entry in entries if entry.there and not entry.gone]
+
+
+def _are_alike(mine: TopicMetadata | None, theirs: TopicMetadata | None) -> bool:
+    """Return whether a table may stand for another: it has the topic, and its rows stay."""
+    if mine is None or theirs is None:
+        return False
+    return mine.topic == theirs.topic and not theirs.ttl
+
+
+def _entries_of(catalog: Catalog, table: str, place: tuple[int, str]) -> list[BucketRow]:
+    """Return the entries of cr_bucket of a slot and robot; the books have its heartbeats."""
+    slot, node = place
+    first = slot * SLOT_BUCKETS
+    entries = (table, node, slot, first, first + SLOT_BUCKETS - 1)
+    asked = catalog.keyspace.directory.begin_buckets([entries])
+    return [row for answer in asked for row in answer()]
+
+
+def _confirmed(
+    catalog: Catalog, copy: _Copy, table: str, place: tuple[int, str], rows: Sequence[BucketRow]
+) -> dict[tuple[int, int], datetime]:
+    """Return the heartbeats that the books noted, by bucket and writer, of what they confirm."""
+    books = CopyBooks(catalog.keyspace.side_tables)
+    try:
+        noted = books.beats(copy.target, table, *place)
+        entries = books.buckets(copy.target, table, [place]) if noted else []
+    except AccessDenied as exc:
+        _log.info("the books of copies are not used: %s", exc)
+        return {}
+    known = {(book.bucket, book.writer): book for book in entries}
+    return {
+        key: noted[key]
+        for row in rows
+        if (key := (row.bucket, row.writer)) in noted
+        and key in known
+        and row.closed
+        and known[key].confirms(row, [copy.table])
+    }

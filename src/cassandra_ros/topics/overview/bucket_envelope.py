@@ -1,0 +1,300 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The envelope of a statement's columns in one part of a bucket.
+
+For blocks of format ``packed`` the zones are enough, if a whole block is in one pixel and the
+condition contains only KEY, NODE and RUN. Blocks across the edge of a pixel are unpacked later. All
+other messages are read and made into arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.messages.wire.zones import HIGH, LOW
+from cassandra_ros.query.arrays.array_types import AnyArray, ArrayType, group_types
+from cassandra_ros.query.arrays.column_values import Convert, compile_convert
+from cassandra_ros.query.arrays.envelope import Envelope, Grid, finite
+from cassandra_ros.query.arrays.table_values import TableValues
+from cassandra_ros.query.plan.bounds import Bounds
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.rows.name_resolution import Findings
+from cassandra_ros.query.rows.projection import Projection
+from cassandra_ros.query.tree.field_names import FieldRef, field_of
+from cassandra_ros.query.tree.syntax import KeyOperand, Path, Select, Selected, StatementError
+from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.store.blocks.block_bounds import BlockZones, ask_bounds, open_blocks, read_bounds
+from cassandra_ros.store.blocks.block_row import BlockRow
+from cassandra_ros.store.blocks.block_stream import BucketRead
+from cassandra_ros.store.connection.requests import PagedRead
+from cassandra_ros.store.tables.row_table import MAX_SEQ, MIN_SEQ
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.overview.plot_columns import Column, as_floats
+from cassandra_ros.topics.row_reader import messages_of
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+EDGES_AT_ONCE = 64
+"""Number of blocks unpacked between two checks of the deadline."""
+MOST_MESSAGES = 100_000
+"""Number of messages that are made into arrays together."""
+_NOTHING = ArrayType("mixed")
+"""Type in place of a column that a table lacks."""
+ZoneRead = Optional[Tuple[BucketRead, PagedRead]]
+"""A read of zones that was sent; None = messages have to be read."""
+
+
+class EnvelopePart(NamedTuple):
+    """A part of a bucket that is read at once."""
+
+    table: TopicTable
+    node: str
+    bucket: int
+    low: int
+    high: int
+    """Last time of the part, included, ns."""
+
+
+class PartEnvelope:
+    """The envelope of a piece as far as it was read.
+
+    Attributes:
+        sure: Envelope of the messages in pixels that are exact.
+        edges: Blocks that have still to be unpacked.
+        around: For the pixels of these blocks the values that they may contain.
+    """
+
+    def __init__(self, grid: Grid, columns: int) -> None:
+        self.sure = Envelope(grid, columns)
+        self.around = Envelope(grid, columns)
+        self.edges: Sequence[BlockRow] = ()
+
+    @property
+    def nbytes(self) -> int:
+        """Approximate size in memory, bytes."""
+        return self.sure.nbytes + self.around.nbytes + 512 * len(self.edges)
+
+
+class _ZoneColumns(NamedTuple):
+    """Zone columns of a table, and how to read them."""
+
+    names: tuple[str, ...]
+    """Names of the zone columns: two for each column that the table has."""
+    converts: tuple[tuple[Convert, ArrayType] | None, ...]
+    """Conversion for each column; None = the table lacks the column."""
+
+
+@dataclass(frozen=True)
+class EnvelopeRequest:
+    """The columns of a topic's messages that are drawn, and the condition for the messages."""
+
+    select: Select
+    """The statement; only its condition counts."""
+    bounds: Bounds
+    """Range, node and writers of the condition, narrowed by those of the request."""
+    columns: tuple[Column, ...]
+    """The columns; none of them is an aggregate."""
+    key: str
+    """Text that identifies this request among all requests for the topic."""
+
+    @property
+    def selected(self) -> Select:
+        """The statement that selects KEY and the columns, which are named by their numbers."""
+        chosen = [Selected(column.what, str(n)) for n, column in enumerate(self.columns)]
+        key = Selected(KeyOperand(0))
+        plain = replace(self.select, order=(), hidden=(), limit=None, descending=False)
+        return replace(plain, columns=(key, *chosen))
+
+
+class PieceReader:
+    """Reads pieces of the buckets of a topic.
+
+    Args:
+        keyspace: Keyspace of the topic.
+        wanted: Columns and condition to read.
+        watch: See Watch.
+    """
+
+    def __init__(self, keyspace: Keyspace, wanted: EnvelopeRequest, watch: Watch) -> None:
+        self._rows = keyspace.rows
+        self._wanted, self._watch = wanted, watch
+        self._select = wanted.selected
+        self._count = len(wanted.columns)
+        self._zoned: dict[str, _ZoneColumns | None] = {}
+
+    def ask(self, piece: EnvelopePart) -> ZoneRead:
+        """Request the zones of a piece's blocks, if they are enough."""
+        name = piece.table.name
+        if name not in self._zoned:
+            self._zoned[name] = self._zones(piece.table)
+        zoned = self._zoned[name]
+        if zoned is None:
+            return None
+        blocks = self._blocks(piece)
+        return blocks, ask_bounds(blocks, zoned.names)
+
+    def read(self, piece: EnvelopePart, shift: int, coming: ZoneRead) -> PartEnvelope:
+        """Read a piece in pixels of 2 ** shift ns; coming: result of ``ask`` for the piece."""
+        part = PartEnvelope(Grid.over(piece.low, piece.high, shift), self._count)
+        if coming is None:
+            self._add_messages(piece, part.sure)
+        else:
+            self._add_bounds(piece, part, list(read_bounds(*coming)))
+        return part
+
+    def refined(self, piece: EnvelopePart, part: PartEnvelope) -> PartEnvelope:
+        """Return the envelope of a piece after some more of its edges were unpacked."""
+        envelope = PartEnvelope(part.sure.grid, self._count)
+        envelope.sure.merge(part.sure)
+        now, envelope.edges = part.edges[:EDGES_AT_ONCE], part.edges[EDGES_AT_ONCE:]
+        values = self._values(piece.table)
+        for block in messages_of(open_blocks(self._blocks(piece), now), [piece.table]):
+            self._watch()
+            values.add_block(block)
+        _drain(values, envelope.sure)
+        if envelope.edges:
+            envelope.around.merge(part.around)
+        return envelope
+
+    def _blocks(self, piece: EnvelopePart) -> BucketRead:
+        ends = (piece.low, MIN_SEQ), (piece.high, MAX_SEQ)
+        writers = self._wanted.bounds.read.whose.writers
+        return BucketRead(piece.table, piece.node, piece.bucket, ends, writers=writers)
+
+    def _zones(self, table: TopicTable) -> _ZoneColumns | None:
+        """Return how the zones of all columns are read; None if messages have to be read."""
+        zone_columns = table.zone_map
+        if zone_columns is None or not self._wanted.bounds.whole:
+            return None
+        names: list[str] = []
+        converts: list[tuple[Convert, ArrayType] | None] = []
+        projection = Projection.compile(self._select, table, Findings(self._select.text))
+        for column, group in zip(self._wanted.columns, group_types(projection, table)[1:]):
+            if not group:
+                converts.append(None)
+                continue
+            ref = _plain_field(column, table)
+            zone = None if ref is None else zone_columns.fields.get(ref.column)
+            kind = group[0][1]
+            convert = None if not (ref and zone) else compile_convert(ref, zone, kind, False)
+            if zone is None or convert is None or zone.is_list:
+                return None
+            names += [LOW + zone.name, HIGH + zone.name]
+            converts.append((convert, kind))
+        return _ZoneColumns(tuple(names), tuple(converts))
+
+    def _add_bounds(
+        self, piece: EnvelopePart, part: PartEnvelope, blocks: Sequence[BlockZones]
+    ) -> None:
+        """Add blocks that are in one pixel, and note those that have to be unpacked."""
+        zoned = self._zoned[piece.table.name]
+        if zoned is None or not blocks:
+            return
+        ends = [(b.header.t, b.header.last, b.header.left, b.exact) for b in blocks]
+        firsts, lasts, rows, exact = (np.array(each, np.int64) for each in zip(*ends))
+        places = part.sure.grid.places
+        sure = (exact > 0) & (places(firsts) == places(lasts))
+        sure &= (firsts >= piece.low) & (lasts <= piece.high)
+        low, high = self._numbers(zoned, [block.values for block in blocks])
+        # An infinite bound hides the finite one, which only the messages tell.
+        sure &= ~(np.isinf(low) | np.isinf(high)).any(axis=0)
+        low, high = finite(low), finite(high)
+        part.sure.add_spans(firsts[sure], lasts[sure], low[:, sure], high[:, sure], rows[sure])
+        edge = ~sure
+        part.edges = [blocks[n].header for n in np.flatnonzero(edge).tolist()]
+        part.around.add_wide(firsts[edge], lasts[edge], low[:, edge], high[:, edge])
+
+    def _numbers(
+        self, zoned: _ZoneColumns, values: Sequence[Sequence[bytes | None]]
+    ) -> tuple[AnyArray, AnyArray]:
+        """Return the minimum and the maximum of each column: (columns, blocks) each."""
+        raws = iter(list(zip(*values)))
+        low, high = (np.full((self._count, len(values)), np.nan) for _ in range(2))
+        for n, convert in enumerate(zoned.converts):
+            if convert is not None:
+                read, kind = convert
+                low[n] = as_floats(read(next(raws)), kind)
+                high[n] = as_floats(read(next(raws)), kind)
+        return low, high
+
+    def _values(self, table: TopicTable) -> TableValues:
+        return TableValues(self._select, table, Findings(self._select.text))
+
+    def _add_messages(self, piece: EnvelopePart, envelope: Envelope) -> None:
+        """Read the messages of a piece, and make arrays of a limited number at a time."""
+        values, count = self._values(piece.table), 0
+        for taken in self._taken(piece, values):
+            self._watch()
+            count += taken
+            if count >= MOST_MESSAGES:
+                _drain(values, envelope)
+                count = 0
+        _drain(values, envelope)
+
+    def _taken(self, piece: EnvelopePart, values: TableValues) -> Iterator[int]:
+        """Pass messages to the makers of arrays; yield how many, each time."""
+        whose = Whose((piece.node,), self._wanted.bounds.read.whose.writers)
+        read = Read(TimeRange(piece.low, piece.high), whose)
+        if self._wanted.bounds.whole and values.takes_blocks:
+            blocks = self._rows.blocks([piece.table], read)
+            if blocks is not None:
+                for block in blocks:
+                    _check_table(block.table, piece)
+                    values.add_block(block)
+                    yield len(block.times)
+                return
+        for row in self._matching(piece.table, read, values.needed):
+            _check_table(row.table, piece)
+            values.add(row, 0)
+            yield 1
+
+    def _matching(
+        self, table: TopicTable, read: Read, needed: Sequence[str]
+    ) -> Iterator[StoredRow]:
+        """Yield the messages that satisfy the condition."""
+        if self._wanted.bounds.whole:
+            return self._rows.read([table], replace(read, columns=lambda _: needed))
+        chooser = Pushdown(self._select.condition, watch=self._watch)
+        test = Projection.compile(
+            replace(self._select, columns=()), table, Findings(self._select.text)
+        )
+        bounds = replace(self._wanted.bounds, read=replace(read, chooser=chooser))
+        rows = partial(self._rows.read, [table])
+        return filter(test.hit, chain.from_iterable(map(rows, bounds.reads())))
+
+
+def _check_table(table: Table, piece: EnvelopePart) -> None:
+    """Raise TopicNotFound for messages of a table that has replaced the one to be read."""
+    if table.name != piece.table.name:
+        raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
+
+
+def _plain_field(column: Column, table: TopicTable) -> FieldRef | None:
+    """Return the field that a column shows unchanged; None if it shows something else."""
+    if not isinstance(column.what, Path) or table.definition is None:
+        return None
+    try:
+        ref = field_of(column.what, table.definition)
+    except StatementError:
+        return None
+    return None if ref.part or ref.index is not None else ref
+
+
+def _drain(values: TableValues, envelope: Envelope) -> None:
+    """Move the gathered values into an envelope."""
+    values.flush()
+    (key_name, key), *kinds = (next(iter(group), ("", _NOTHING)) for group in values.groups)
+    times = values.take(key_name, key).values
+    numbers = np.full((len(kinds), len(times)), np.nan)
+    for n, (name, kind) in enumerate(kinds):
+        if kind is not _NOTHING:
+            numbers[n] = as_floats(values.take(name, kind), kind)
+    envelope.add(times, numbers)
+    values.renew()

@@ -1,0 +1,274 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The envelope of a statement's columns over many buckets, as many as there is time for.
+
+Buckets are read in an order that is spread over the whole time from the beginning, so early results
+show all of it, with few values. The envelopes of closed buckets are cached.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict, deque
+from itertools import groupby
+from typing import Iterator, NamedTuple, Sequence
+
+from cassandra_ros.query.arrays.envelope import Envelope, Grid
+from cassandra_ros.query.plan.pushdown import Watch
+from cassandra_ros.store.tables.directory import BucketRow
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.overview.bucket_envelope import (
+    EnvelopePart,
+    EnvelopeRequest,
+    PartEnvelope,
+    PieceReader,
+    ZoneRead,
+)
+from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.topic_table import TopicTable
+
+TILE_PIXELS = 1024
+"""Number of pixels of one piece. A longer bucket is read in such pieces, because a close view needs
+only a small part of it."""
+AHEAD = 8
+"""Number of pieces whose zones are requested at the same time."""
+CACHE_BYTES = 64 * 1024 * 1024
+
+
+class EnvelopeCache:
+    """Envelopes of pieces of closed buckets that were read before. Thread-safe.
+
+    If it is full, the parts that have not been used for the longest time are dropped.
+
+    Args:
+        most_bytes: Maximum size in memory, approximate bytes.
+    """
+
+    def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
+        self._most = most_bytes
+        self._parts: OrderedDict[object, tuple[PartEnvelope, int]] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def get(self, key: object) -> PartEnvelope | None:
+        """Return a part, which must not be changed; None if it is not in the cache."""
+        with self._lock:
+            part = self._parts.get(key)
+            if part is None:
+                return None
+            self._parts.move_to_end(key)
+            return part[0]
+
+    def put(self, key: object, part: PartEnvelope) -> None:
+        """Add a part."""
+        with self._lock:
+            earlier = self._parts.pop(key, None)
+            self._bytes -= earlier[1] if earlier else 0
+            self._parts[key] = part, part.nbytes
+            self._bytes += part.nbytes
+            while self._bytes > self._most:
+                self._bytes -= self._parts.popitem(last=False)[1][1]
+
+
+class _Listed(NamedTuple):
+    """A piece, and its entries in the directory."""
+
+    piece: EnvelopePart
+    rows: float
+    """Approximate number of messages in the piece."""
+    state: tuple[object, ...] | None
+    """Counts of its writers in the directory; None while a robot writes, after a deletion, or where
+    the condition takes only a part of the piece."""
+
+
+class Envelopes(NamedTuple):
+    """Result of EnvelopeReader."""
+
+    envelope: Envelope
+    share: float
+    """Share of the messages that was read, 0 to 1; 1.0 = all."""
+    edges: int
+    """Number of blocks across the edges of pixels of which only the zones were read. Their pixels
+    may show larger ranges of values than they have."""
+
+
+class EnvelopeReader:
+    """Reads the envelopes of columns of a topic.
+
+    Args:
+        keyspace: Keyspace of the topic.
+        tables: Tables of the topic, none of them with names as keys.
+        wanted: Columns and condition to read.
+        cache: Cache to use; None = nothing is cached.
+        watch: See Watch.
+    """
+
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        tables: Sequence[TopicTable],
+        wanted: EnvelopeRequest,
+        cache: EnvelopeCache | None,
+        watch: Watch,
+    ) -> None:
+        self._keyspace, self._tables = keyspace, tables
+        self._bounds = wanted.bounds
+        self._columns = len(wanted.columns)
+        self._cache, self._watch = cache, watch
+        self._pieces = PieceReader(keyspace, wanted, watch)
+        self._asked = wanted.key
+
+    def read(self, grid: Grid, seconds: float | None = None) -> Envelopes:
+        """Read the envelope of the messages in a grid.
+
+        Args:
+            seconds: Time limit, s; then the result so far is returned. Each call reads at least one
+                more piece. Buckets that are being written are read last, all together. None = read
+                everything.
+        """
+        ends = None if seconds is None else time.monotonic() + seconds
+        listed = list(self._listed(grid))
+        listed = [listed[n] for n in spread(len(listed))]
+        parts = {n: part for n, each in enumerate(listed) if (part := self._known(each, grid))}
+        left = [n for n in range(len(listed)) if n not in parts]
+        cached = [n for n in left if self._keeps(listed[n])]
+        fresh = False
+        for n, part in self._new(listed, cached, grid):
+            parts[n], fresh = part, True
+            if _is_over(ends):
+                break
+        for n in list(parts):
+            while parts[n].edges and not (fresh and _is_over(ends)):
+                parts[n], fresh = self._refined(listed[n], grid, parts[n]), True
+        done = len(parts) == len(listed) - len(left) + len(cached)
+        if done and not (fresh and _is_over(ends) and any(p.edges for p in parts.values())):
+            # These pieces are not cached: a read that began with them would never get further.
+            parts.update(self._at_once(listed, [n for n in left if n not in parts], grid))
+        return self._joined(grid, listed, parts)
+
+    def _listed(self, grid: Grid) -> Iterator[_Listed]:
+        bounds = self._bounds
+        low, high = bounds.read.time_range
+        low, high = max(grid.low, low), min(grid.high, high)
+        if bounds.empty or low > high:
+            return
+        whose = bounds.read.whose
+        for table in self._tables:
+            ends = table.bucket_of(low), table.bucket_of(high)
+            rows = sorted(buckets_of(self._keyspace.directory, table, whose, ends), key=_place)
+            for (node, bucket), group in groupby(rows, key=_place):
+                writers = [row for row in group if _reaches(row, low, high)]
+                if writers:
+                    yield from self._tiles(table, node, bucket, writers, grid)
+
+    def _tiles(
+        self, table: TopicTable, node: str, bucket: int, writers: Sequence[BucketRow], grid: Grid
+    ) -> Iterator[_Listed]:
+        """Yield a bucket, or the pieces of a long one that meet the grid.
+
+        A piece is not cut at the ends of the grid, because a view moved a little needs the whole
+        piece.
+        """
+        length, tile = table.metadata.bucket_ns, TILE_PIXELS << grid.shift
+        begin, end = bucket * length, (bucket + 1) * length - 1
+        rows = sum(row.rows for row in writers)
+        state = None
+        if all(row.closed for row in writers):
+            state = tuple((r.writer, r.rows, r.bytes, r.t_min, r.t_max) for r in writers)
+        first_ns, last_ns = self._bounds.read.time_range
+        cuts = [begin, end + 1]
+        if length > tile:
+            first, last = max(begin, grid.low) // tile, min(end, grid.high) // tile + 1
+            cuts = [min(max(begin, n * tile), end + 1) for n in range(first, last + 1)]
+        for low, high in zip(cuts, cuts[1:]):
+            share = rows * (high - low) / length
+            begins, ends = max(low, first_ns), min(high - 1, last_ns)
+            if begins <= ends and any(_reaches(row, begins, ends) for row in writers):
+                # One that is cut by the condition is not kept: the cut may move with now().
+                kept = state if (begins, ends) == (low, high - 1) else None
+                yield _Listed(EnvelopePart(table, node, bucket, begins, ends), share, kept)
+
+    def _key(self, listed: _Listed, grid: Grid) -> object:
+        piece = listed.piece
+        where = self._keyspace.name, piece.table.name, *piece[1:], listed.state
+        return self._asked, grid.shift, where
+
+    def _keeps(self, listed: _Listed) -> bool:
+        """Return whether the envelope of a piece is cached for the next time."""
+        return self._cache is not None and listed.state is not None
+
+    def _known(self, listed: _Listed, grid: Grid) -> PartEnvelope | None:
+        if self._cache is None or not self._keeps(listed):
+            return None
+        return self._cache.get(self._key(listed, grid))
+
+    def _keep(self, listed: _Listed, grid: Grid, part: PartEnvelope) -> None:
+        if self._cache is not None and self._keeps(listed):
+            self._cache.put(self._key(listed, grid), part)
+
+    def _new(
+        self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
+    ) -> Iterator[tuple[int, PartEnvelope]]:
+        """Read pieces that are not in the cache; the zones of some are requested ahead."""
+        coming: deque[tuple[int, ZoneRead]] = deque()
+        left = iter(places)
+        while True:
+            for n in left:
+                coming.append((n, self._pieces.ask(listed[n].piece)))
+                if len(coming) >= AHEAD:
+                    break
+            if not coming:
+                return
+            n, asked = coming.popleft()
+            self._watch()
+            part = self._pieces.read(listed[n].piece, grid.shift, asked)
+            self._keep(listed[n], grid, part)
+            yield n, part
+
+    def _refined(self, listed: _Listed, grid: Grid, part: PartEnvelope) -> PartEnvelope:
+        found = self._pieces.refined(listed.piece, part)
+        self._keep(listed, grid, found)
+        return found
+
+    def _at_once(
+        self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
+    ) -> Iterator[tuple[int, PartEnvelope]]:
+        """Read pieces in full, without a time limit."""
+        for n, part in self._new(listed, places, grid):
+            while part.edges:
+                part = self._refined(listed[n], grid, part)
+            yield n, part
+
+    def _joined(
+        self, grid: Grid, listed: Sequence[_Listed], parts: dict[int, PartEnvelope]
+    ) -> Envelopes:
+        envelope, read, edges = Envelope(grid, self._columns), 0.0, 0
+        for n, part in parts.items():
+            envelope.merge(part.sure)
+            if part.edges:
+                envelope.merge(part.around)
+                edges += len(part.edges)
+            read += listed[n].rows + 1
+        count = sum(each.rows + 1 for each in listed)
+        share = 1.0 if len(parts) == len(listed) else min(read / count, 0.999)
+        return Envelopes(envelope, share, edges)
+
+
+def _place(row: BucketRow) -> tuple[str, int]:
+    return row.node, row.bucket
+
+
+def _reaches(row: BucketRow, low: int, high: int) -> bool:
+    """Return whether a writer may have messages of a time range in a bucket."""
+    return not row.closed or bool(row.rows and row.t_min <= high and row.t_max >= low)
+
+
+def _is_over(ends: float | None) -> bool:
+    return ends is not None and time.monotonic() >= ends
+
+
+def spread(count: int) -> Sequence[int]:
+    """Return the numbers below count in an order in which the first few are far apart."""
+    bits = max(1, (count - 1).bit_length())
+    return sorted(range(count), key=lambda n: int(f"{n:0{bits}b}"[::-1], 2))

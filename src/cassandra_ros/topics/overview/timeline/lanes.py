@@ -1,0 +1,341 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Timelines: for each topic and robot the numbers of messages in cells of time, gaps, and runs.
+
+A timeline is drawn from the directory, so it takes as long for a thousand million messages as for a
+thousand. If a bucket covers several cells, its messages are spread over them evenly. A request for
+detail also reads keys of messages, up to a limit.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import NamedTuple, Sequence
+
+import numpy as np
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.read import EVERYBODY, Whose
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.timeline.bucket_detail import refined
+from cassandra_ros.topics.overview.timeline.directory_reader import DirectoryReader, Ends
+from cassandra_ros.topics.overview.timeline.range_counts import (
+    MessageKeys,
+    RangeCounts,
+    named_pieces,
+)
+from cassandra_ros.topics.overview.timeline.time_cells import (
+    Cells,
+    Longs,
+    Scale,
+    TimeRanges,
+    gaps_between,
+    gaps_in,
+)
+from cassandra_ros.topics.row_reader import followed
+from cassandra_ros.topics.topic_table import TopicTable
+
+MAX_RUNS = 2000
+ERA_GAP_NS = 10 * 365 * 86_400 * SECOND_NS
+"""Minimum time without a message between two eras, ns: ten years."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Time range, topics and resolution of a timeline."""
+
+    start: int | None = None
+    """First time, ns since 1970, included; None = that of the first message."""
+    end: int | None = None
+    """Last time, ns since 1970, included; None = that of the last message."""
+    cells: int = 1000
+    """Maximum number of cells, 1 to MAX_CELLS."""
+    topics: Sequence[str] | None = None
+    """Names of topics; None = all."""
+    whose: Whose = EVERYBODY
+    detail: bool = False
+    """Whether keys are read if buckets are longer than cells."""
+
+
+class Lane:
+    """What is stored of one topic by one robot in a time range.
+
+    Args:
+        tables: Tables of the topic.
+        pieces: Counts of the messages in these tables.
+        ends: First and last time of the range, ns.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        node: str,
+        tables: Sequence[TopicTable],
+        pieces: Sequence[RangeCounts],
+        ends: Ends,
+    ) -> None:
+        self.topic, self.node, self.tables = topic, node, tables
+        joined = TimeRanges.joined([piece.time_ranges for piece in pieces])
+        self.time_ranges = joined.within(*ends)
+        keys = MessageKeys.joined([piece.keys for piece in pieces])
+        inside = (keys.times >= ends[0]) & (keys.times <= ends[1])
+        self.keys = keys.where(inside)
+        self.sampled = any(piece.sampled for piece in pieces)
+        self.writing = any(piece.writing for piece in pieces)
+        self._ends = ends
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Robot and topic."""
+        return self.node, self.topic
+
+    @property
+    def times(self) -> tuple[int | None, int | None]:
+        """Times of the first and the last message, ns; None if there is no message."""
+        firsts = [
+            int(each.min()) for each in (self.time_ranges.first, self.keys.times) if len(each)
+        ]
+        lasts = [int(each.max()) for each in (self.time_ranges.last, self.keys.times) if len(each)]
+        return min(firsts, default=None), max(lasts, default=None)
+
+    @property
+    def parts(self) -> list[tuple[Longs, Longs]]:
+        """First and last times of the time ranges and single messages of the lane, ns."""
+        every = (self.time_ranges.first, self.time_ranges.last), (self.keys.times, self.keys.times)
+        return [part for part in every if len(part[0])]
+
+    @property
+    def messages(self) -> int:
+        """Number of messages in the range; see ``exact``."""
+        return self._sum(self.time_ranges.messages) + len(self.keys.times)
+
+    @property
+    def bytes(self) -> int:
+        """Number of serialised bytes of these messages."""
+        return self._sum(self.time_ranges.bytes) + int(self.keys.sizes.sum())
+
+    @property
+    def exact(self) -> bool:
+        """Whether messages and bytes are exact; otherwise they are estimates."""
+        whole = (self.time_ranges.shares(*self._ends) == 1.0) & self.time_ranges.sure
+        return bool(whole.all()) and not self.sampled
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean rate of a writer while it was sending, Hz.
+
+        Pauses between its buckets do not count.
+        """
+        each = self.time_ranges
+        covered_ns = int((each.last - each.first)[each.messages > 1].sum())
+        steps = int(np.maximum(each.messages - 1, 0).sum())
+        if not covered_ns and len(self.keys.times) > 1:
+            covered_ns = int(self.keys.times.max() - self.keys.times.min())
+            steps = len(self.keys.times) - 1
+        return steps * SECOND_NS / covered_ns if covered_ns else None
+
+    def _sum(self, counts: Longs) -> int:
+        return round(float((counts * self.time_ranges.shares(*self._ends)).sum()))
+
+    def cells(self, scale: Scale) -> Cells:
+        """Return the number of messages in each cell."""
+        cells = Cells(scale)
+        cells.add(self.time_ranges)
+        cells.add_times(self.keys.times)
+        return cells
+
+    def gaps(self, scale: Scale) -> list[tuple[int, int]]:
+        """Return first and last times of the unusual pauses of runs, ns."""
+        gaps = [] if self.sampled else gaps_between(self.time_ranges, scale)
+        for writer in np.unique(self.keys.writers):
+            gaps += gaps_in(self.keys.times[self.keys.writers == writer], scale)
+        return sorted(gaps)
+
+
+class RunSpan(NamedTuple):
+    """The messages of a run in a lane, by their first and last time, ns."""
+
+    writer: int
+    node: str
+    first: int
+    last: int
+    messages: int
+
+
+class Picture(NamedTuple):
+    """A timeline that was drawn."""
+
+    extent: Ends | None
+    """Times of the first and the last of all selected messages, ns; None = no messages. Messages
+    with names count only if no others are selected."""
+    scale: Scale | None
+    """Cells of the time range; None = there is no time range."""
+    lanes: list[Lane]
+    """Lanes by robot and topic, also without messages in the range. If all messages lie in it,
+    robots whose messages were all deleted have none."""
+    named: bool = False
+    """Whether the extent is that of messages with names."""
+
+    @property
+    def eras(self) -> list[Ends]:
+        """Time ranges of messages, in order, with ten years or more between two of them.
+
+        A clock that was not set begins in 1970, which makes two eras.
+        """
+        parts = [part for lane in self.lanes for part in lane.parts]
+        if not parts:
+            return []
+        firsts, lasts = (np.concatenate(ends) for ends in zip(*parts))
+        order = np.argsort(firsts)
+        firsts, reached = firsts[order], np.maximum.accumulate(lasts[order])
+        later = np.flatnonzero(firsts[1:] - reached[:-1] >= ERA_GAP_NS) + 1
+        if self.scale is not None:  # a time range may begin before the window or end after it
+            firsts, reached = (np.clip(t, *self.scale[:2]) for t in (firsts, reached))
+        starts, ends = [0, *later.tolist()], [*(later - 1).tolist(), len(firsts) - 1]
+        return [(int(firsts[low]), int(reached[high])) for low, high in zip(starts, ends)]
+
+    @property
+    def runs(self) -> list[RunSpan]:
+        """Runs with messages in the range, by their first; at most the MAX_RUNS longest."""
+        spans: dict[tuple[str, int], RunSpan] = {}
+        for lane in self.lanes:
+            for span in _spans(lane):
+                key = span.node, span.writer
+                spans[key] = _joined(spans[key], span) if key in spans else span
+        longest = sorted(spans.values(), key=lambda span: span.first - span.last)[:MAX_RUNS]
+        return sorted(longest, key=lambda span: (span.first, span.last, span.writer))
+
+
+def _spans(lane: Lane) -> list[RunSpan]:
+    s, keys = lane.time_ranges, lane.keys
+    ones = np.ones(len(keys.times), np.int64)
+    first, last = (np.concatenate([each, keys.times]) for each in (s.first, s.last))
+    messages, writers = (
+        np.concatenate(pair) for pair in ((s.messages, ones), (s.writer, keys.writers))
+    )
+    unique_writers, place = np.unique(writers, return_inverse=True)
+    lows, highs = np.full(len(unique_writers), 2**63 - 1), np.full(len(unique_writers), -(2**63))
+    np.minimum.at(lows, place, first)
+    np.maximum.at(highs, place, last)
+    counts = np.bincount(place, messages, len(unique_writers))
+    rows = zip(unique_writers.tolist(), lows.tolist(), highs.tolist(), counts.tolist())
+    # Estimates for partitions that were not read have no writer: 0.
+    return [RunSpan(w, lane.node, low, high, int(n)) for w, low, high, n in rows if w]
+
+
+def _joined(one: RunSpan, other: RunSpan) -> RunSpan:
+    first, last = min(one.first, other.first), max(one.last, other.last)
+    return RunSpan(one.writer, one.node, first, last, one.messages + other.messages)
+
+
+class Timeline:
+    """Draws timelines of one keyspace. Thread-safe.
+
+    Args:
+        catalog: Topics of the keyspace; it is only read.
+    """
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._catalog = catalog
+        self._reader = DirectoryReader(catalog.keyspace.directory)
+
+    def picture(self, view: View, gone: threading.Event | None = None) -> Picture:
+        """Draw a timeline.
+
+        Args:
+            gone: Set when the client has gone; then no more keys are read.
+
+        Raises:
+            TopicNotFound: A topic is not stored.
+            InvalidOption: The number of cells is 0 or too large, or start is later than end.
+        """
+        names = view.topics
+        topics = self._catalog.all(None) if names is None else map(self._catalog.get, names)
+        tables = {table.name: table for topic in topics for table in topic.tables}
+        gone = threading.Event() if gone is None else gone
+        return followed(list(tables.values()), lambda now: self._picture(now, view, gone))
+
+    def ends(self) -> Ends | None:
+        """Return the times of the first and the last message, ns; None = no message."""
+        return self._reader.extent(self._catalog.tables(None), EVERYBODY)
+
+    def _picture(self, tables: Sequence[TopicTable], view: View, gone: threading.Event) -> Picture:
+        named = [
+            piece for table in tables if table.named for piece in named_pieces(table, view.whose)
+        ]
+        # Maps with names do not count: one stored today for a recording of last year would leave
+        # the recording a single pixel.
+        timed = self._reader.extent(tables, view.whose)
+        extent = timed or _extent(named)
+        ends = window_of(view, extent)
+        if ends is None:
+            return Picture(None, None, self._lanes(tables, [], view.whose, (0, 0), whole=True))
+        scale = Scale.over(*ends, view.cells)
+        pieces = self._reader.pieces(tables, ends, view.whose)
+        if view.detail:
+            pieces = refined(pieces, scale, view.whose, gone)
+        whole = extent is None or (ends[0] <= extent[0] and extent[1] <= ends[1])
+        lanes = self._lanes(tables, [*pieces, *named], view.whose, ends, whole)
+        return Picture(extent, scale, lanes, timed is None)
+
+    def _lanes(
+        self,
+        tables: Sequence[TopicTable],
+        pieces: Sequence[RangeCounts],
+        whose: Whose,
+        ends: Ends,
+        whole: bool,
+    ) -> list[Lane]:
+        """Return the lanes of tables, one for each robot that has messages in them.
+
+        Args:
+            whole: Whether all messages lie in the range. Otherwise there are also lanes of robots
+                that had messages, which may have been deleted.
+        """
+        slots = self._reader.slots(tables)
+        of_table: dict[str, list[RangeCounts]] = {}
+        for piece in pieces:
+            of_table.setdefault(piece.table.name, []).append(piece)
+        lanes: dict[tuple[str, str], tuple[list[TopicTable], list[RangeCounts]]] = {}
+        had: set[tuple[str, str]] = set()
+        for table in tables:
+            listed = {node for _, node in slots.get(table.name, [])}
+            own = of_table.get(table.name, [])
+            nodes = listed | {piece.node for piece in own} or {table.metadata.nodeID}
+            if whose.nodes is not None:
+                nodes = nodes.intersection(whose.nodes)
+            for node in nodes:
+                of_lane = lanes.setdefault((node, table.metadata.topic), ([], []))
+                of_lane[0].append(table)
+                of_lane[1].extend(piece for piece in own if piece.node == node)
+            had.update((node, table.metadata.topic) for node in listed)
+        drawn = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
+        if whose.writers is not None:
+            return [lane for lane in drawn if lane.times[0] is not None]
+        if not whole:
+            return drawn
+        kept = [lane for lane in drawn if lane.times[0] is not None or lane.key not in had]
+        shown = {lane.topic for lane in kept}
+        if whose.nodes is None:  # a topic stays without its robots
+            emptied = {lane.topic: lane.tables for lane in drawn if lane.topic not in shown}
+            kept += [Lane(topic, "", stay, [], ends) for topic, stay in emptied.items()]
+        return sorted(kept, key=lambda lane: lane.key)
+
+
+def _extent(named: Sequence[RangeCounts]) -> Ends | None:
+    """Return the first and the last time of messages with names, ns; None without messages."""
+    times = MessageKeys.joined([piece.keys for piece in named]).times
+    return (int(times.min()), int(times.max())) if len(times) else None
+
+
+def window_of(view: View, extent: Ends | None) -> Ends | None:
+    """Return the range to draw; an open end is never on the wrong side of the other end."""
+    start, end = view.start, view.end
+    if start is None:
+        low = extent[0] if extent else end
+        start = low if low is None or end is None else min(low, end)
+    if end is None:
+        high = extent[1] if extent else start
+        end = high if high is None or start is None else max(high, start)
+    return None if start is None or end is None else (start, end)

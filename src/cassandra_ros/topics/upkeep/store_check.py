@@ -1,0 +1,567 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Check of the store: everything is read back and compared.
+
+The check reads the messages of each bucket, with the checksums of blocks and of large messages, the
+zones of blocks, and the connections and definitions to which rows refer. Counts and times are
+compared with the directory if no client is writing. A row that cannot come from any message is
+damage. A changed number in a column of the formats ``ros``, ``json`` or ``yaml`` cannot be told
+from a stored one.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Counter as Counts
+from typing import Sequence
+
+from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound, TopicNotFound
+from cassandra_ros.read import TimeRange
+from cassandra_ros.store.blocks.block_row import WHOLE, Block, BlockRow, read_block
+from cassandra_ros.store.connection.cql_names import quote_name
+from cassandra_ros.store.connection.requests import RawRow
+from cassandra_ros.store.rows.fetch import fetch_row, list_names
+from cassandra_ros.store.rows.orphans import old_us, orphans, partitions, remove_orphans, rows_at
+from cassandra_ros.store.rows.row_counts import recount
+from cassandra_ros.store.tables.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
+from cassandra_ros.store.tables.row_encoder import Zones
+from cassandra_ros.store.tables.row_table import ALL, TableRow, decode_long, encode_texts
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.stored_row import read_wire
+from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.upkeep.table_copy import Progress
+
+_log = logging.getLogger(__name__)
+
+PAGE_BYTES = 2 * 1024 * 1024
+MAX_PAGE_ROWS = 1000
+BLOCKS_AT_ONCE = 8
+_ZONES_AT = WHOLE.count(",") + 1
+"""Index of the first column after those of WHOLE."""
+MAX_DAMAGES = 10_000
+"""Maximum number of damages that are listed. Further ones are only counted."""
+
+
+class DamageKind(str, Enum):
+    """Kind of a damage."""
+
+    MESSAGE = "message"
+    CONNECTION = "connection"
+    DEFINITION = "definition"
+    COUNT = "count"
+    BOUNDS = "bounds"
+    UNLISTED = "not listed"
+    ORPHAN = "orphan"
+    LEFTOVER = "leftover"
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One thing that is not as it was stored, or not as the directory says."""
+
+    kind: DamageKind
+    topic: str
+    """Name of the topic; '' = no existing topic."""
+    table: str
+    node: str
+    first_ns: int | None
+    """Key times between which the damage is, both included; None = no time range."""
+    last_ns: int | None
+    messages: int
+    """Number of affected messages, as far as it is known."""
+    text: str
+    """What is wrong, and what to do if it was not mended."""
+    mended: bool = False
+
+
+@dataclass
+class CheckReport:
+    """Numbers of what was read, and the damages."""
+
+    messages: int = 0
+    """Number of messages that could be read."""
+    bytes: int = 0
+    buckets: int = 0
+    writing: int = 0
+    """Buckets that are open, or in which messages were deleted, for less than a minute: the
+    directory has no final counts of them to compare."""
+    unsummed: int = 0
+    """Messages in rows of their own, which have no checksum and were only decoded."""
+    damages: list[Damage] = field(default_factory=list)
+    """The first MAX_DAMAGES damages."""
+    found: int = 0
+    mended: int = 0
+
+    @property
+    def left(self) -> int:
+        """Number of damages that were not mended."""
+        return self.found - self.mended
+
+    def count_bucket(self) -> None:
+        """Count a bucket that was read."""
+        self.buckets += 1
+
+    def count_writing(self) -> None:
+        """Count a bucket whose counts in the directory cannot be compared yet."""
+        self.writing += 1
+
+    def count(self, messages: int, nbytes: int) -> None:
+        """Count messages that could be read."""
+        self.messages += messages
+        self.bytes += nbytes
+
+    def count_unsummed(self) -> None:
+        """Count a message without a checksum."""
+        self.unsummed += 1
+
+    def add(self, damage: Damage) -> None:
+        """Add a damage."""
+        self.found += 1
+        self.mended += damage.mended
+        if len(self.damages) < MAX_DAMAGES:
+            self.damages.append(damage)
+
+
+def check_store(
+    catalog: Catalog,
+    topics: Sequence[str] | None,
+    time_range: TimeRange,
+    repair: bool = False,
+    progress: Progress = None,
+) -> CheckReport:
+    """Read topics back, None = the whole keyspace; see Upkeep.check."""
+    work = _Check(catalog, time_range, repair, progress)
+    names = [topic.name for topic in catalog.all(None)] if topics is None else topics
+    for name in dict.fromkeys(catalog.get(each).name for each in names):
+        work.topic(name)
+    work.definitions({table.metadata.md5sum for table in work.tables}, everything=topics is None)
+    if topics is None and time_range == TimeRange():
+        work.leftovers()
+    return work.report
+
+
+class _Check:
+    """Reads topics back, one after the other."""
+
+    def __init__(
+        self, catalog: Catalog, time_range: TimeRange, repair: bool, progress: Progress
+    ) -> None:
+        self._catalog = catalog
+        self._space = catalog.keyspace
+        self._time_range = time_range
+        self._repair = repair
+        self._progress = progress
+        self.report = CheckReport()
+        self.tables: list[TopicTable] = []
+        self._conns: Counts[int] = Counter()
+        self._done = 0
+
+    def topic(self, name: str) -> None:
+        """Read all tables of a topic."""
+        try:
+            tables = self._catalog.get(name).tables
+        except DefinitionError as exc:
+            self._note_unread(DamageKind.DEFINITION, name, "", str(exc))
+            return
+        for table in tables:
+            self.tables.append(table)
+            try:
+                self._table(table)
+            except TopicNotFound:
+                _log.warning("topic %s was removed or converted while it was checked", name)
+
+    def _table(self, table: TopicTable) -> None:
+        self._conns = Counter()
+        if table.named:
+            self._names(table)
+        else:
+            self._buckets(table)
+        self._connections(table)
+        self._orphans(table)
+
+    def _buckets(self, table: TopicTable) -> None:
+        low, high = (table.bucket_of(t) for t in self._time_range)
+        listed = self._space.directory.buckets_by_robot(table.name, low, high)  # see _by_time
+        groups: dict[tuple[str, int], list[BucketRow]] = {}
+        for row in listed:
+            groups.setdefault((row.node, row.bucket), []).append(row)
+        for node, where in partitions(table):
+            if low <= int(where) <= high:
+                groups.setdefault((node, int(where)), [])
+        total = sum(row.rows for row in listed)
+        for (node, bucket), rows in sorted(groups.items()):
+            self.report.count_bucket()
+            self._read(table, node, bucket, rows, total)
+            self._compare(table, node, bucket)
+        self._slots(table, set(groups))
+        if table.metadata.by_time:
+            self._by_time(table, low, high)
+        elif self._repair and self._time_range == TimeRange():
+            self._list_by_time(table)
+
+    def _read(
+        self, table: TopicTable, node: str, bucket: int, rows: list[BucketRow], total: int
+    ) -> None:
+        """Read the messages of a bucket."""
+        count, size = sum(row.rows for row in rows), sum(row.bytes for row in rows)
+        page = BLOCKS_AT_ONCE if table.packed else PAGE_BYTES * count // (size + 1) + 1
+        names = table.listing()
+        if table.packed:
+            names = ", ".join([WHOLE, '"_nan"', *map(quote_name, table.zone_columns)])
+        asked = table.select_range(
+            names, table.place(node, bucket), page_rows=min(page, MAX_PAGE_ROWS), what="checking"
+        )
+        for values in asked.rows():
+            if table.is_rest(values):
+                continue
+            t = decode_long(values[0])
+            try:
+                if table.packed:
+                    self._block(table, node, read_block(table, values), values[_ZONES_AT:])
+                else:
+                    self._message(table, table.row_from_values(node, values))
+            except CorruptMessage as exc:
+                last = decode_long(values[4]) if table.packed else t
+                lost = decode_long(values[5]) if table.packed else 1
+                key = t, decode_long(values[1])
+                if rows_at(table, table.place(node, bucket), key):  # otherwise deleted meanwhile
+                    ends = t, max(t, last)
+                    self._note(DamageKind.MESSAGE, table, node, ends, lost, str(exc))
+            self._tell(total)
+
+    def _message(self, table: TopicTable, row: TableRow) -> None:
+        self._conns[row.conn] += 1
+        try:
+            wire = read_wire(table, row)
+        except MessageNotFound:
+            return  # removed meanwhile
+        if not row.nchunks:
+            self.report.count_unsummed()
+        self._count(1, len(wire))
+
+    def _block(self, table: TopicTable, node: str, row: BlockRow | None, bounds: RawRow) -> None:
+        """Read a block, and compute its zones again."""
+        if row is None or not row.left:
+            return
+        self._conns[row.conn] += row.left
+        block = Block(table, node, row)
+        places = block.between(*ALL)
+        if block.unpacked is None:
+            (only,) = block.rows(places)
+            wires: Sequence[bytes] = [read_wire(table, only)]
+        else:
+            wires = block.unpacked.wires()
+        self._count(len(places), int(block.sizes[places].sum()))
+        self._bounds(table, node, row, bounds, table.format.zones(wires))
+
+    def _bounds(
+        self, table: TopicTable, node: str, row: BlockRow, said: RawRow, measured: Zones
+    ) -> None:
+        """Report zones that differ from the messages, because conditions skip blocks by them."""
+        values, nan, odd = measured
+        expected = (encode_texts(nan) if nan else None, *values)
+        if row.odd or (said == expected and not odd):
+            return  # conditions do not skip an odd block
+        names = ("_nan", *table.zone_columns)
+        wrong = [name for name, *each in zip(names, said, expected) if each[0] != each[1]]
+        self._note(
+            DamageKind.BOUNDS,
+            table,
+            node,
+            (row.t, max(row.t, row.last)),
+            row.messages,
+            f"{', '.join(wrong) or '_odd'} of a block of {row.messages} messages is not what they "
+            "hold, so conditions may leave them out; cassandra_bag convert to another format and "
+            "back measures it anew",
+        )
+
+    def _count(self, messages: int, size: int) -> None:
+        self.report.count(messages, size)
+        self._done += messages
+
+    def _tell(self, total: int) -> None:
+        if self._progress is not None:
+            self._progress(self._done, max(total, self._done))
+
+    def _compare(self, table: TopicTable, node: str, bucket: int) -> None:
+        """Compare the rows of a bucket with the directory."""
+        directory = self._space.directory
+        before = directory.find(table.name, node, bucket)
+        try:
+            counted = recount(table, node, bucket)
+        except CorruptMessage:
+            return  # reported when the bucket was read
+        if [_sign(row) for row in directory.find(table.name, node, bucket)] != [
+            _sign(row) for row in before
+        ]:
+            self.report.count_writing()
+            return
+        listed = {row.writer: row for row in before}
+        for writer in sorted({*counted, *listed}):
+            totals, row = counted.get(writer, BucketTotals()), listed.get(writer)
+            if row is None:
+                self._list(table, (table.name, node, bucket, writer), totals)
+            elif not row.closed:
+                self._settle(table, row, totals)
+            elif not table.metadata.ttl and not _agrees(row, totals):
+                self._recount(table, row, totals)
+
+    def _slots(self, table: TopicTable, places: set[tuple[str, int]]) -> None:
+        """Report robots whose buckets no reader finds, because cr_node does not list them."""
+        directory, length = self._space.directory, table.metadata.bucket_ns
+        buckets_of_slots: dict[tuple[int, str], list[int]] = {}
+        for node, bucket in places:
+            buckets_of_slots.setdefault((slot_of(bucket), node), []).append(bucket)
+        slots = [slot for slot, _ in buckets_of_slots]
+        listed = directory.nodes(table.name, min(slots), max(slots)) if slots else []
+        for slot, node in sorted(set(buckets_of_slots).difference(listed)):
+            buckets = buckets_of_slots[slot, node]
+            if self._repair:
+                directory.add_node(table.name, slot, node)
+            self._note(
+                DamageKind.UNLISTED,
+                table,
+                node,
+                (min(buckets) * length, (max(buckets) + 1) * length - 1),
+                0,
+                f"{len(buckets)} buckets of node {node!r} are in no directory, so no reader finds "
+                "them; --repair lists them",
+                mended=self._repair,
+            )
+
+    def _by_time(self, table: TopicTable, low: int, high: int) -> None:
+        """Report buckets that cr_active does not list as cr_bucket does.
+
+        They have been compared with the rows, so what differs is wrong in cr_active.
+        """
+        directory, ends, ttl = self._space.directory, (table.name, low, high), table.metadata.ttl
+        active = {_entry(row): row for row in directory.buckets_by_time(*ends)}
+        for entry in directory.buckets_by_robot(*ends):
+            if entry.expired(ttl) or not _differs(entry, active.get(_entry(entry))):
+                continue
+            # A client may have opened or closed the bucket between the two reads.
+            place = table.name, entry.node, entry.bucket
+            since_us = self._space.cassandra.server_time_us()
+            before = {row.writer: row for row in directory.find_active(*place)}
+            now = [row for row in directory.find(*place) if row.writer == entry.writer]
+            after = {row.writer: row for row in directory.find_active(*place)}
+            for row in now:
+                if all(_differs(row, rows.get(row.writer)) for rows in (before, after)):
+                    self._put_by_time(table, row, since_us, listed=row.writer in after)
+
+    def _put_by_time(
+        self, table: TopicTable, row: BucketRow, since_us: int, *, listed: bool
+    ) -> None:
+        directory, mended = self._space.directory, False
+        if self._repair:
+            directory.list_by_time(table.name, [row], table.metadata.ttl, since_us)
+            found = directory.find_active(table.name, row.node, row.bucket)
+            mended = not _differs(row, next((r for r in found if r.writer == row.writer), None))
+        said = "has other counts" if listed else "is missing"
+        self._note(
+            DamageKind.COUNT if listed else DamageKind.UNLISTED,
+            table,
+            row.node,
+            (row.t_min, row.t_max) if row.rows else None,
+            row.rows,
+            f"the entry of {row.rows} messages of writer {row.writer} {said} in the directory by "
+            "time, so reads of all robots may miss them; --repair puts the directory right",
+            mended=mended,
+        )
+
+    def _list_by_time(self, table: TopicTable) -> None:
+        """List the buckets of a table of schema version 1 by time, too, unless one is written."""
+        self._space.side_tables.make()
+        since_us = self._space.cassandra.server_time_us()
+        rows = self._space.directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
+        if any(row.writing and row.age_sec <= STALE_SEC for row in rows):
+            return
+        self._space.directory.list_by_time(table.name, rows, table.metadata.ttl, since_us)
+        self._space.schema.raise_version(table.name)
+
+    def _settle(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
+        """Count a bucket that is not closed; that its counts are estimates is no damage."""
+        if row.age_sec <= STALE_SEC:
+            self.report.count_writing()
+        elif self._repair:
+            self._space.directory.put_recount(table.name, row, totals, table.metadata.ttl)
+
+    def _list(
+        self, table: TopicTable, place: tuple[str, str, int, int], totals: BucketTotals
+    ) -> None:
+        """Report messages that the directory does not list, so that no reader finds them."""
+        if self._repair:
+            self._space.directory.mark(place, table.metadata.ttl, (), totals, closed=True)
+        self._note(
+            DamageKind.UNLISTED,
+            table,
+            place[1],
+            (totals.t_min, totals.t_max),
+            totals.rows,
+            f"{totals.rows} messages of writer {place[3]} are in no directory, so no reader finds "
+            "them; --repair lists them",
+            mended=self._repair,
+        )
+
+    def _recount(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
+        directory, ttl = self._space.directory, table.metadata.ttl
+        mended = self._repair and directory.put_recount(table.name, row, totals, ttl)
+        length = table.metadata.bucket_ns
+        self._note(
+            DamageKind.COUNT,
+            table,
+            row.node,
+            (row.bucket * length, (row.bucket + 1) * length - 1),
+            abs(row.rows - totals.rows),
+            f"the directory says {_said(row.rows, row.bytes, row.t_min, row.t_max)} of writer "
+            f"{row.writer}, and there are {_said(totals.rows, totals.bytes, *_ends(totals))}; "
+            "--repair puts the directory right. Were there more, import or record them again",
+            mended=mended,
+        )
+
+    def _names(self, table: TopicTable) -> None:
+        """Read the messages of a topic whose messages have names."""
+        keys = [k for k in list_names(table, None) if _within(k.position.t, self._time_range)]
+        listed = {node for _, node in self._space.directory.nodes(table.name, 0, 0)}
+        missing: Counts[str] = Counter()
+        for key in sorted(keys, key=lambda key: key.position):
+            t, node = key.position.t, key.position.node
+            missing[node] += node not in listed
+            try:
+                row = fetch_row(table, key.position)
+                if row is not None:
+                    self._message(table, row)
+            except CorruptMessage as exc:
+                place = table.place(node, key.position.name)
+                if rows_at(table, place, table.stored_order(t, key.position.seq)):
+                    self._note(DamageKind.MESSAGE, table, node, (t, t), 1, str(exc))
+            self._tell(len(keys))
+        for node, count in sorted((+missing).items()):
+            if self._repair:
+                self._space.directory.add_node(table.name, 0, node)
+            text = f"{count} messages of node {node!r} are in no directory; --repair lists it"
+            self._note(DamageKind.UNLISTED, table, node, None, count, text, mended=self._repair)
+
+    def _connections(self, table: TopicTable) -> None:
+        for conn, count in sorted(self._conns.items()):
+            try:
+                self._space.connections.get(table.name, conn)
+            except CorruptMessage as exc:
+                self._note(DamageKind.CONNECTION, table, "", None, count, str(exc))
+
+    def _orphans(self, table: TopicTable) -> None:
+        space = self._space
+        until_us = old_us(space.cassandra)
+        all_orphans = orphans(space.cassandra, space.name, table, until_us)
+        in_range = [o for o in all_orphans if table.named or _within(o.t, self._time_range)]
+        if not in_range:
+            return
+        if self._repair:
+            remove_orphans(space.cassandra, table, in_range, until_us)
+        times = [orphan.t for orphan in in_range]
+        self._note(
+            DamageKind.ORPHAN,
+            table,
+            "",
+            None if table.named else (min(times), max(times)),
+            len(in_range),
+            f"pieces of {len(in_range)} large messages lie there without a message: the "
+            "client that wrote them died; --repair deletes them",
+            mended=self._repair,
+        )
+
+    def definitions(self, md5sums: set[str], *, everything: bool) -> None:
+        """Compare the texts of the definitions with their checksums."""
+        for md5sum in self._space.registry.damaged_definitions():
+            if everything or md5sum in md5sums:
+                topics = {t.metadata.topic for t in self.tables if t.metadata.md5sum == md5sum}
+                text = (
+                    f"the definition with md5sum {md5sum} was changed by hand; import or record "
+                    "again what uses it"
+                )
+                self._note_unread(DamageKind.DEFINITION, ", ".join(sorted(topics)), "", text)
+
+    def leftovers(self) -> None:
+        """Report entries of tables that do not exist, and tables whose comment is not readable."""
+        space = self._space
+        names = space.directory.tables() | space.registry.tables()
+        # A node that has just started may not have heard of a new table yet.
+        space.cassandra.await_same_schema("checking the list of tables")
+        listing = space.schema.listing(fresh=True)
+        rows = space.cassandra.system_schema("tables", "table_name", space.name)
+        existing = {name for (name,) in rows}
+        # Entries of tables that a conversion has replaced stay until the next conversion.
+        replaced = {old for metadata in listing.every.values() for old in metadata.replaces}
+        for table in sorted(names.difference(listing.every, replaced)):
+            if table in existing:
+                text = (
+                    f"the comment of table {table} was changed by hand or by another program: put "
+                    "it right to read its messages again"
+                )
+                self._note_unread(DamageKind.DEFINITION, "", table, text)
+                continue
+            if self._repair:
+                space.forget_table(table)
+            text = (
+                f"the directory knows a table {table} that was dropped: the "
+                "client that removed its topic died; --repair forgets it"
+            )
+            self._note_unread(DamageKind.LEFTOVER, "", table, text, mended=self._repair)
+
+    def _note(
+        self,
+        kind: DamageKind,
+        table: TopicTable,
+        node: str,
+        ends: tuple[int, int] | None,
+        messages: int,
+        text: str,
+        mended: bool = False,
+    ) -> None:
+        """Add a damage of a table to the report."""
+        topic, (first, last) = table.metadata.topic, ends or (None, None)
+        damage = Damage(kind, topic, table.name, node, first, last, messages, text, mended)
+        self.report.add(damage)
+
+    def _note_unread(
+        self, kind: DamageKind, topic: str, table: str, text: str, mended: bool = False
+    ) -> None:
+        """Add a damage that does not concern messages of one table."""
+        self.report.add(Damage(kind, topic, table, "", None, None, 0, text, mended))
+
+
+def _within(t: int, time_range: TimeRange) -> bool:
+    return time_range.low <= t <= time_range.high
+
+
+def _entry(row: BucketRow) -> tuple[str, int, int]:
+    return row.node, row.bucket, row.writer
+
+
+def _differs(row: BucketRow, active: BucketRow | None) -> bool:
+    """Return whether an entry by time is missing, or has other final counts."""
+    return active is None or (active.closed and (not row.closed or row.counts != active.counts))
+
+
+def _sign(row: BucketRow) -> tuple[int, bool, object]:
+    """Return what changes in the directory when a client writes to a bucket or deletes in it."""
+    return row.writer, row.closed, row.heartbeat
+
+
+def _agrees(row: BucketRow, totals: BucketTotals) -> bool:
+    if not (row.rows or totals.rows):
+        return True
+    said, ends = (row.rows, row.bytes, row.t_min, row.t_max), _ends(totals)
+    # A higher number of odd messages is harmless: readers only check more of them.
+    return said == (totals.rows, totals.bytes, *ends) and row.odd >= totals.odd
+
+
+def _ends(totals: BucketTotals) -> tuple[int, int]:
+    return (totals.t_min, totals.t_max) if totals.rows else (0, 0)
+
+
+def _said(rows: int, size: int, first: int, last: int) -> str:
+    return f"{rows} messages, {size} bytes" + (f" from {first} to {last}" if rows else "")

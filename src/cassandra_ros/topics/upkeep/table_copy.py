@@ -1,0 +1,316 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Copies the messages of some tables into another table of the same definition, and compares."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Callable, Iterator, Optional, Sequence
+
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
+from cassandra_ros.keys import split_seq
+from cassandra_ros.read import EVERYTHING, Read, TimeRange, Whose
+from cassandra_ros.store.blocks.block_builder import limits_for
+from cassandra_ros.store.rows.fetch import RowKey, fetch_row, fetch_rows, list_names
+from cassandra_ros.store.rows.verbatim import row_keys
+from cassandra_ros.store.tables.expiry import (
+    left_by_name,
+    left_in_bucket,
+    rounded,
+    set_lifetime,
+    written_by_name,
+)
+from cassandra_ros.store.tables.row_table import Order
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.row_reader import RowReader
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_totals import buckets_of, count_rows
+from cassandra_ros.topics.topic_table import TopicTable
+
+Progress = Optional[Callable[[int, int], None]]
+"""Called with the number of messages that are done and the number of all messages."""
+TOLD = 100
+"""Number of messages between two calls of the progress function."""
+WRITERS_AT_ONCE = 16
+"""Maximum number of writers copied at the same time, a thread each. With more writers the rows are
+read several times."""
+
+
+class TableCopy:
+    """Copies rows with node, times, seq, connection, name, bytes, and remaining lifetime.
+
+    Args:
+        olds: Tables of one definition.
+        new: Another table of any format, into which no other client writes.
+    """
+
+    def __init__(
+        self, space: Keyspace, olds: Sequence[TopicTable], new: TopicTable, progress: Progress
+    ) -> None:
+        self._space = space
+        self._olds = olds
+        self._new = new
+        self._reader = RowReader(space.cassandra, space.directory)
+        self._newest = self._newest_of_names()
+        rows = count_rows(space.directory, olds, EVERYTHING)
+        self._tell = _CopyProgress(progress, 2 * rows)
+        names = {old.name for old in olds}
+        self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
+
+    def _newest_of_names(self) -> dict[tuple[str, str], tuple[int, int]]:
+        """Return where equal messages, which are stored once, came last, over several tables."""
+        newest: dict[tuple[str, str], tuple[int, int]] = {}
+        if self._new.metadata.key_format == "hash" and len(self._olds) > 1:
+            for table in self._olds:
+                for key in list_names(table, None):
+                    t, node, seq, _, name = key.position
+                    newest[node, name] = max(newest.get((node, name), (t, seq)), (t, seq))
+        return newest
+
+    def fill(self) -> None:
+        """Write all rows into the new table."""
+        writers = sorted(self._writers())
+        for n in range(0, len(writers), WRITERS_AT_ONCE):
+            some = frozenset(writers[n : n + WRITERS_AT_ONCE])
+            if self._new.metadata.ttl:
+                self._fill_expiring(some)
+            else:
+                self._write(self._rows(self._olds, Read(whose=Whose(None, some))))
+
+    def _writers(self) -> frozenset[int]:
+        writers: set[int] = set()
+        for table in self._olds:
+            if table.named:
+                writers.update(split_seq(key.position.seq)[0] for key in list_names(table, None))
+            else:
+                writers.update(row.writer for row in buckets_of(self._space.directory, table))
+        return frozenset(writers)
+
+    def _fill_expiring(self, writers: frozenset[int]) -> None:
+        """Write rows by remaining lifetime, which is set for all rows written from then on."""
+        whose, ttl = Whose(None, writers), self._new.metadata.ttl
+        parts: dict[int, list[Callable[[], Iterator[StoredRow]]]] = {}
+        for table in self._olds:
+            for left, rows in self._expiring(table, whose):
+                if left:
+                    parts.setdefault(rounded(left, ttl), []).append(rows)
+        for left in sorted(parts):
+            set_lifetime(self._space.schema, self._new.name, left)
+            self._write(row for part in parts[left] for row in part())
+
+    def _expiring(
+        self, table: TopicTable, whose: Whose
+    ) -> Iterator[tuple[int, Callable[[], Iterator[StoredRow]]]]:
+        """Yield parts of a table with the maximum remaining lifetime of their rows, s."""
+        if table.named:
+            by_left: dict[int, list[RowKey]] = {}
+            for place, left in left_by_name(table).items():
+                if whose.wrote(place.seq):
+                    left = rounded(left, table.metadata.ttl)
+                    by_left.setdefault(left, []).append(RowKey(table, place))
+            for left, row_keys in by_left.items():
+                yield left, _fetching(table, row_keys)
+            return
+        length, places = table.metadata.bucket_ns, set()
+        for row in buckets_of(self._space.directory, table, whose):
+            places.add((row.node, row.bucket))
+        for node, bucket in sorted(places):
+            time_range = TimeRange(bucket * length, (bucket + 1) * length - 1)
+            part = self._part(table, Read(time_range, Whose((node,), whose.writers)))
+            yield left_in_bucket(table, node, bucket), part
+
+    def _part(self, table: TopicTable, read: Read) -> Callable[[], Iterator[StoredRow]]:
+        return lambda: self._reader.read([table], read)
+
+    def _rows(self, tables: Sequence[TopicTable], read: Read = EVERYTHING) -> Iterator[StoredRow]:
+        """Yield the rows of tables in order, one of each place.
+
+        Raises:
+            CorruptMessage: Two messages have the same place, which one table cannot hold.
+        """
+        last: StoredRow | None = None
+        for row in self._reader.read(tables, read):
+            if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
+                continue  # an equal message came later, into another table
+            if last is not None and row.place == last.place:
+                if row.wire != last.wire:
+                    raise CorruptMessage(
+                        f"topic {row.topic} has two messages at {row.t} of the same writer and "
+                        f"number, in tables {last.table.name} and {row.table.name}: one table "
+                        "cannot hold both. Remove one of them, and convert it again"
+                    )
+                continue  # the same message in two formats
+            last = row
+            yield row
+
+    def _write(self, rows: Iterator[StoredRow]) -> None:
+        """Write rows of some writers, each under its own id; return when all are acknowledged."""
+        opened: dict[int, MessageWriter] = {}
+        handles: dict[tuple[int, int, str], Handle] = {}
+        try:
+            for row in rows:
+                writer_id, counter = split_seq(row.seq)
+                writer = opened.get(writer_id)
+                if writer is None:
+                    writer = opened[writer_id] = MessageWriter(
+                        self._space, writer_id, ttl=None, limits=self._limits, given=True
+                    )
+                key = (writer_id, row.conn, row.node)
+                handle = handles.get(key)
+                if handle is None:
+                    handle = handles[key] = writer.ready(
+                        Handle(row.connection, self._new, row.conn, row.node, None)
+                    )
+                writer.write(handle, row.received, counter, row.wire, row.name)
+                self._tell.one()
+            for writer in opened.values():
+                writer.flush()
+        finally:
+            failed: CassandraRosError | None = None
+            for writer in opened.values():
+                try:
+                    writer.close()
+                except CassandraRosError as exc:
+                    failed = exc
+        if failed is not None:
+            raise failed
+
+    def compare(self) -> int:
+        """Compare all rows of the new table with those of the old ones; return their number.
+
+        Raises:
+            WriteFailed: They are not the same.
+        """
+        count = 0
+        ours = self._rows([self._new])
+        theirs = self._rows(self._olds)
+        mine, its = next(ours, None), next(theirs, None)
+        while mine is not None or its is not None:
+            if mine is not None and its is not None and mine.place == its.place:
+                self._check_equal(mine, its)
+                mine, its = next(ours, None), next(theirs, None)
+                count += 1
+                self._tell.one()
+            elif its is not None and (mine is None or its.place < mine.place):
+                self._check_expired(its)
+                its = next(theirs, None)
+            elif mine is not None:
+                self._check_expired(mine)
+                mine = next(ours, None)
+        self._tell.end()
+        return count
+
+    def _check_equal(self, mine: StoredRow, its: StoredRow) -> None:
+        same = (mine.received, mine.conn) == (its.received, its.conn)
+        if not same or mine.wire != its.wire:
+            raise WriteFailed(
+                f"the message of topic {its.topic} at {its.t} is not the same in the new table: "
+                "nothing was converted; that is a mistake of this program, please report it"
+            )
+
+    def _check_expired(self, row: StoredRow) -> None:
+        """Check that a row in one table only has expired in the other one meanwhile."""
+        # A row may stay a little longer in the new table than in the old ones.
+        tables = self._olds if row.table is self._new else [row.table]
+        gone = all(fetch_row(table, row.position) is None for table in tables)
+        if row.table.metadata.ttl and gone:
+            return
+        raise WriteFailed(
+            f"the message of topic {row.topic} at {row.t} is only in one of the tables after the "
+            "conversion: nothing was converted, and nothing is lost; convert it again"
+        )
+
+    def add_late(self, read: Read | None = None) -> int:
+        """Copy the rows that came into the old tables after the copy; return their number.
+
+        Args:
+            read: Where they are looked for, a bucket; None = everywhere, which takes long.
+        """
+        if read is None:
+            return self._add(self._not_there(self._rows(self._olds)))
+        return self._add(self._missing(self._olds, read))
+
+    def add_written_since(self, since_us: int) -> int:
+        """Copy the rows that were written into the old tables after a server time, us.
+
+        Other rows that are only there were deleted since from the new table.
+
+        Returns:
+            Their number.
+        """
+        count = 0
+        for table in self._olds:
+            if table.named:
+                written = written_by_name(table).items()
+                late = [RowKey(table, place) for place, us in written if us > since_us]
+                rows = _fetching(table, late)()
+                count += self._add(
+                    row for row in rows if fetch_row(self._new, row.position) is None
+                )
+                continue
+            writers: dict[tuple[str, int], set[int]] = {}
+            for entry in buckets_of(self._space.directory, table):
+                writers.setdefault((entry.node, entry.bucket), set()).add(entry.writer)
+            length = table.bucket_ns
+            for (node, bucket), some in sorted(writers.items()):
+                found = row_keys(table, node, bucket, frozenset(some))
+                keys = {key for key, us in found.items() if us > since_us}
+                low = bucket * length
+                read = Read(TimeRange(low, low + length - 1), Whose((node,), frozenset(some)))
+                if keys:
+                    count += self._add(r for r in self._missing([table], read) if _key(r) in keys)
+        return count
+
+    def _not_there(self, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+        """Return those of some rows that are not in the new table, each asked for alone."""
+        return (row for row in rows if fetch_row(self._new, row.position) is None)
+
+    def _missing(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
+        """Return the rows of old tables in a bucket that are not in the new one."""
+        known = {row.place for row in self._rows([self._new], read)}
+        return (row for row in self._rows(tables, read) if row.place not in known)
+
+    def _add(self, late: Iterator[StoredRow]) -> int:
+        """Write late rows into the new table, with the headers of their connections."""
+        count = 0
+        while some := list(islice(late, TOLD)):
+            if not count:
+                headers = self._space.registry.headers({old.name for old in self._olds})
+                self._space.registry.put_headers(
+                    [(self._new.name, conn, header) for _, conn, header in headers]
+                )
+            count += len(some)
+            self._write(iter(some))
+        return count
+
+
+class _CopyProgress:
+    """Calls the progress function of a copy."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress = progress
+        self._done, self._total = 0, total
+
+    def one(self) -> None:
+        self._done += 1
+        if not self._done % TOLD:
+            self._tell()
+
+    def end(self) -> None:
+        self._total = self._done
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._progress is not None:
+            self._progress(self._done, max(self._done, self._total))
+
+
+def _key(row: StoredRow) -> Order:
+    """Return the key of a row with a message, or with the block that contains it."""
+    block, _ = row.block
+    return (row.t, row.seq) if block is None else (block.t, block.seq)
+
+
+def _fetching(table: TopicTable, wanted: Sequence[RowKey]) -> Callable[[], Iterator[StoredRow]]:
+    return lambda: (StoredRow(row, table) for row in fetch_rows(wanted))

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Maps in the files of map_server: an image with three greys, and a YAML file with its metadata."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from cassandra_ros.errors import InvalidName
+from cassandra_ros.own_files import new_file
+from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
+
+OCCUPIED_FROM = 65
+"""Minimum probability of an occupied cell, %, included, as in map_saver."""
+FREE_BELOW = 50
+"""Probability below which a cell is free, %. A cell that a beam crossed once is free."""
+_OCCUPIED, _UNKNOWN, _FREE = 0, 205, 254
+"""Grey values of map_server and map_saver."""
+
+
+def trinary(made: OccupancyMap) -> np.ndarray:  # type: ignore[type-arg]
+    """Return the grey values of a map, by rows of an image: the first row has the largest y."""
+    cells = made.cells
+    greys = np.full(cells.shape, _UNKNOWN, np.uint8)
+    greys[(cells >= 0) & (cells < FREE_BELOW)] = _FREE
+    greys[cells >= OCCUPIED_FROM] = _OCCUPIED
+    return greys[::-1]
+
+
+def map_paths(path: str | Path) -> tuple[Path, Path]:
+    """Return the paths of a map's image and YAML file, given one of them.
+
+    Raises:
+        InvalidName: The path ends neither in .pgm nor in .yaml.
+    """
+    path = Path(path)
+    if path.suffix not in (".pgm", ".yaml"):
+        raise InvalidName(f"{str(path)!r} is no name of a map: give NAME.pgm or NAME.yaml")
+    return path.with_suffix(".pgm"), path.with_suffix(".yaml")
+
+
+def save_map(made: OccupancyMap, path: str | Path) -> tuple[Path, Path]:
+    """Write a map for map_server; return the paths of the image and of the YAML file.
+
+    Args:
+        made: The map.
+        path: NAME.pgm or NAME.yaml: both are written, the image first, each atomically.
+
+    Raises:
+        InvalidName: The path has another ending.
+        OSError: A file cannot be written.
+    """
+    image, description = map_paths(path)
+    head = f"P5\n# {made.resolution:g} m a pixel\n{made.width} {made.height}\n255\n"
+    write_whole(image, head.encode("ascii") + trinary(made).tobytes())
+    # For map_server a pixel is free if its darkness is below free_thresh. The darkness of the
+    # grey for unknown is 0.19608.
+    told = {
+        "image": image.name,
+        "resolution": made.resolution,
+        "origin": [made.x, made.y, made.yaw],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    write_whole(description, text.encode("utf-8"))
+    return image, description
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file atomically: other processes see the old or the new file."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(new_file(part), "wb") as file:
+            file.write(data)
+        part.replace(path)
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()
