@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A local Apache Cassandra: download, configure for loopback, start and stop.
 
-``cluster`` has LocalCluster, one server or several of them. ``jars`` fetches Cassandra and checks its
-sums, ``server_security`` has it ask for a login, ``processes`` knows which server is ours.
+``cluster`` has LocalCluster, one server or several of them. ``jars`` fetches Cassandra and checks
+its sums, ``server_security`` has it ask for a login, ``processes`` knows which server is ours.
 
 In: a folder, a port. Out: a Cassandra that answers there.
 This room uses neither ROS nor the database driver, and imports no other.
