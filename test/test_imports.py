@@ -78,7 +78,7 @@ BELOW = {
     "viewing/mapping": {*TOPICS, "topics/overview", "client"},
     "viewing/drawing": {"viewing/mapping", "topics/overview", "client", *TOPICS},
     "viewing": {
-        *("viewing/drawing", "viewing/mapping", "files/bag", "recording", "stores/fleet"),
+        *("viewing/drawing", "viewing/mapping", "files/bag", "stores/fleet"),
         *CLIENT,
     },
     "nodes": {
@@ -229,6 +229,45 @@ def test_every_module_says_what_it_is():
         assert ast.get_docstring(tree_of(path)), f"{name_of(path)} has no docstring"
 
 
+def test_each_room_says_what_it_imports():
+    """The sentence in the room's __init__.py agrees with BELOW, as far as rooms go."""
+    used = {
+        room: {
+            other.split("/")[0]
+            for inner, others in BELOW.items()
+            if inner.split("/")[0] == room
+            for other in others
+        }
+        - {room}
+        for room in ROOMS
+    }
+    for room in ROOMS:
+        prose = " ".join(ast.get_docstring(tree_of(PACKAGE / room / "__init__.py")).split())
+        sentence = re.findall(r"This room imports ([^.;]*)", prose)
+        assert len(sentence) == 1, room
+        told = set(re.findall(r"(?:^|[ (])(\w+)/", sentence[0])) & set(ROOMS)
+        for other in re.findall(r"what (\w+)/ imports", sentence[0]):
+            told |= used[other]
+        if sentence[0].startswith("all others"):
+            told = set(ROOMS) - {room}
+        assert told == used[room], f"{room}: {sentence[0]}"
+
+
+# In the prose of messages/tree: functions.
+FUNCTIONS = {"read", "build"}
+
+
+def test_the_prose_of_a_folder_names_what_is_there():
+    formats = {path.stem for path in (PACKAGE / "messages/formats").glob("*.py")}
+    for init in (path for path in modules() if path.name == "__init__.py"):
+        prose = ast.get_docstring(tree_of(init))
+        there = {path.stem for path in init.parent.rglob("*")}
+        for name in re.findall(r"``([a-z_0-9]+)/?``", prose):
+            assert name in there | formats | FUNCTIONS, f"{name_of(init)}: {name}"
+        for name in re.findall(r"\b\w+(?:/\w+)+\.py\b", prose):
+            assert (PACKAGE / name).is_file(), f"{name_of(init)}: {name}"
+
+
 def test_no_module_is_called_after_nothing():
     vague = {"utils", "util", "common", "helpers", "helper", "misc", "msg", "srv"}
     for path in PACKAGE.rglob("*"):
@@ -240,7 +279,7 @@ SAME_KIND = {
     "__init__.py": "each room has one",
     "player.py": "the program in cli/, and the class in nodes/ that it starts",
     "recorder.py": "the program in cli/, and the class in nodes/ that it starts",
-    "replicator.py": "the program in cli/, and the class in copying/ that it starts",
+    "replicator.py": "the program in cli/, and the class in stores/copying/ that it starts",
 }
 
 

@@ -6,7 +6,7 @@
 its sums, ``server_security`` has it ask for a login, ``processes`` knows which server is ours.
 
 In: a folder, a port. Out: a Cassandra that answers there.
-This room uses neither ROS nor the database driver, and imports no other.
+This room imports no other, and uses neither ROS nor the driver of Cassandra.
 """
 
 from __future__ import annotations

@@ -11,5 +11,5 @@ by which messages are found. ``stamps`` is time. Folders:
 - ``formats/`` has the six formats in which a row keeps a message, a file each.
 
 In: bytes, a type's name and its definition. Out: columns, values, objects of generated classes.
-This room imports no other. genpy, genmsg and roslib come in here.
+This room imports no other. genpy, genmsg, roslib and rosgraph come in here.
 """

@@ -5,9 +5,9 @@
 ``recorder`` subscribes through ``subscription``, which avoids the losses of rospy, and hands the
 bytes to a recording; ``recorder_node`` is the node around it. ``player`` publishes bytes as they
 are stored, through ``publication``; ``query_node`` answers services. All nodes use ``ros_node`` for
-their name, log, time and services, and ``registration``, which registers again with a master that
-was started anew.
+their name, log, time and services. ``registration`` registers again with a master that was started
+anew. ``history_subscriber`` receives what is stored first, then what is live.
 
 In: messages and requests of ROS. Out: messages and answers of ROS.
-This room imports recording/, playing/, stores/, client/ and what lies below.
+This room imports recording/, playing/, stores/, client/ and what client/ imports.
 """

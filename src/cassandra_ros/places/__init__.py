@@ -6,7 +6,9 @@
 tells them. ``whereabouts`` finds when a robot was in a region, by an index of coarse cells of the
 ground (``run_index``, ``coverage``) as far as that goes. ``transforms/`` looks up one time.
 
-In: a function that returns a topic as a ``query.source.Source``, or raises TopicNotFound. Out:
-arrays of poses, transforms, time ranges. topics/ uses this room, and is not known here.
-This room imports query/, messages/ and store/tables/. tf2_py comes in here.
+``stored_topics`` and ``array_source`` say what the caller must offer, which has the topics.
+
+In: the topics of a keyspace by those interfaces. Out: arrays of poses, transforms, time ranges.
+topics/ uses this room, and is not known here.
+This room imports query/, messages/ and store/tables/. tf2_py and geometry_msgs come in here.
 """

@@ -8,8 +8,9 @@
 - ``rows/`` reads field values from messages, checks conditions and makes the rows of the result.
 - ``arrays/``: many messages as numpy arrays, pandas frames and record batches of Arrow.
 
-``run`` joins the first three; ``explain`` reports how a statement was answered. ``protocols`` and
-``source`` are what the caller has to offer, which has the stored rows.
+``source`` and ``protocols`` say what the caller must offer, which has the stored rows. The caller
+joins the parts: topics/query_result.py for a statement, client/explanation.py for how it was
+answered.
 
 In: the text of a statement, a source of rows. Out: a ``Read``, then rows of the result.
 This room imports messages/. lark comes in here.

@@ -9,5 +9,5 @@ holds the last seconds. ``quota_keeper`` keeps the store below its maximum size.
 
 In: topic, connection header and bytes of each message. Out: stored messages, ``TopicReport``.
 Each message that came is stored, on disk, or counted as lost with a reason.
-This room imports files/spool/, stores/copying/, topics/ and what lies below.
+This room imports files/spool/, stores/copying/, topics/ and what topics/ imports.
 """

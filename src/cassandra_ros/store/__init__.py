@@ -11,5 +11,6 @@
 - ``rows/``: ``writer`` and ``reader``, counts, and rows that are found by their keys.
 
 In: a ``Read``, or rows with a table that has its encoder (made in topics/). Out: rows.
-Each folder imports those that are listed before it, and no other room. The driver comes in here.
+This room imports no other; each folder imports those that are listed before it. The driver of
+Cassandra comes in here.
 """

@@ -11,5 +11,5 @@
   has.
 
 In: a RosCassandra for each store. Out: reports, merged rows.
-This room imports client/ and what lies below.
+This room imports client/ and what client/ imports.
 """

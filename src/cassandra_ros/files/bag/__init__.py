@@ -4,5 +4,6 @@
 
 We read and write bag format 2.0 ourselves: chunk by chunk in bounded memory, without generated
 classes (a definition in a bag is text from outside), and with all connections byte for byte. MCAP
-files are read and written in the same way; the mcap library parses and writes their records.
+files are written by the mcap library. They are read by our own walk over their records
+(``mcap_format``); the library parses those that describe the file.
 """
