@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Compare what converts many messages together with what converts them one by one.
 
-These are the mechanisms of messages/wire/ whose figures doc/architecture.md shows. Times are of one
+These are the mechanisms of messages/wire/ whose figures doc/internals.md shows. Times are of one
 thread's processor, the minimum of rounds in which both ways take turns; no server is needed. On the
 way back the driver would cut single rows into columns first: that is not measured.
 """

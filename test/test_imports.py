@@ -347,8 +347,8 @@ def private_uses(path):
 
 
 def listed_private_names():
-    """(file, name) of the table in doc/architecture.md."""
-    text = (ROOT / "doc" / "architecture.md").read_text(encoding="utf-8")
+    """(file, name) of the table in doc/internals.md."""
+    text = (ROOT / "doc" / "internals.md").read_text(encoding="utf-8")
     table = text.split("## Private names")[1].split("\n## ")[0]
     for line in table.splitlines():
         cells = line.split("|")
@@ -364,7 +364,7 @@ def test_private_names_of_other_packages_are_listed():
     ours.add(("messages/classes.py", "_generated_for"))
     for path in modules():
         for name in private_uses(path):
-            assert (name_of(path), name) in listed | ours, f"list {name} in doc/architecture.md"
+            assert (name_of(path), name) in listed | ours, f"list {name} in doc/internals.md"
     for file, name in listed:
         text = (PACKAGE / file).read_text(encoding="utf-8")
         assert re.search(rf"\b{name}\b", text), f"{file} uses {name} no more"

@@ -441,7 +441,7 @@ class Select:
     """Items of ORDER BY, unless it is KEY alone."""
     hidden: tuple[Selected, ...] = ()
     """Columns that are computed but not shown, after the shown ones; see
-    rows/result_groups.py."""
+    query/rows/result_groups.py."""
 
     @property
     def aggregates(self) -> tuple[Aggregate, ...]:

@@ -300,7 +300,7 @@ class Directory:
         """Table → slot → nodes, as listed last; may be out of date, or only some of many."""
         self.first: dict[tuple[str, bool], tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
         """Table and whether newest rows come first → nodes and buckets in which the last read of
-        few rows began; see ``foresee`` in store/."""
+        few rows began; see ``foresee`` in store/rows/reader.py."""
 
     def patient(self, retry_sec: Seconds) -> Directory:
         """Return a copy for one writer, which retries each request for ``retry_sec``."""
