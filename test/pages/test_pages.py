@@ -55,6 +55,16 @@ def test_every_page_is_in_the_table_of_contents():
     assert sorted(listed) == sorted(pages)
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "doc").glob("*.md")), ids=lambda path: path.stem)
+def test_every_page_says_first_for_whom_it_is(path):
+    text = path.read_text(encoding="utf-8")
+    included = re.search(r"^```{include} (.*)$", text, re.M)
+    if included:
+        text = (path.parent / included[1]).read_text(encoding="utf-8")
+    first = text.split("\n# ")[1].split("\n\n")[1].splitlines()[:3]
+    assert re.search(r"(^|[.:] )For [a-z]", " ".join(first)), first
+
+
 def test_lint_builds_the_pages_and_takes_warnings_for_errors():
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert re.search(r"^lint:.* doc\b", text, re.M)
