@@ -9,7 +9,6 @@ import re
 import stat
 from pathlib import Path
 
-import pytest
 from hostile.inputs import GROWTH_MB, INPUT_SEC
 
 from cassandra_ros import own_files
@@ -141,34 +140,3 @@ def test_the_modes_of_our_files_are_those_that_are_named(tmp_path):
     cluster.nodes[0].write_config()
     mode = stat.S_IMODE(cluster.nodes[0].directory.stat().st_mode)
     assert f"owner alone (mode {mode:o})" in text
-
-
-@pytest.mark.parametrize(
-    ("name", "figures"),
-    [
-        (
-            "viewer",
-            [
-                f"| connections | {LIMITS.clients}; ",
-                f"first request | {LIMITS.head_sec:g} s, ",
-                f"next headers | {LIMITS.idle_sec:g} s |",
-                f"nothing of its answer | {LIMITS.stalled_sec:g} s, ",
-                f"to a connection at once | {LIMITS.piece_bytes >> 10} KiB |",
-                f"answers being sent | {mib(LIMITS.answers_bytes)}; ",
-                f"at the same time | {viewer_settings.DEFAULT_THREADS}; ",
-            ],
-        ),
-        (
-            "mcap",
-            [
-                f"a compressed chunk | {mib(message_file.MAX_CHUNK_BYTES)} |",
-                f"not compressed | {message_file.MAX_PLAIN_BYTES >> 30} GiB |",
-                f"from {mib(message_file.MAX_CHUNK_BYTES)} on | {message_file.MAX_RATIO} times ",
-                f"from {message_file.MAX_RECORDS} on | one for each byte ",
-            ],
-        ),
-    ],
-)
-def test_the_limits_on_other_pages_are_those_of_the_code(name, figures):
-    text = (ROOT / "doc" / f"{name}.md").read_text(encoding="utf-8")
-    assert [figure for figure in figures if figure not in text] == []
