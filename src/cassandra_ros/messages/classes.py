@@ -115,10 +115,10 @@ class _Source(importlib.abc.InspectLoader):
 
 def installed_definition(msg_type: str) -> Definition:
     """Return the definition of an installed type; DefinitionError: not installed, or broken."""
-    found = installed_class(msg_type)
-    if found is None:
+    cls = installed_class(msg_type)
+    if cls is None:
         raise DefinitionError(f"message type {msg_type} is not installed on this machine")
-    return definition_of(found)
+    return definition_of(cls)
 
 
 def message_class(definition: Definition) -> Any:
@@ -168,13 +168,13 @@ def _source(definition: Definition) -> str:
     load = genmsg.msg_loader.load_msg_from_string
     specs = {name: load(context, render_spec(s), name) for name, s in definition.specs.items()}
     return "\n".join(
-        _based(genpy.dynamic._gen_dyn_modify_references(line, name, list(specs)))
+        _with_base(genpy.dynamic._gen_dyn_modify_references(line, name, list(specs)))
         for name, spec in specs.items()
         for line in genpy.generator.msg_generator(context, spec, {})
     )
 
 
-def _based(line: str) -> str:
+def _with_base(line: str) -> str:
     """Return a line of generated source, in which a class begins with the base of ours."""
     if not line.startswith("class "):
         return line
@@ -184,12 +184,12 @@ def _based(line: str) -> str:
 def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
     """Set what genpy was not given: full text, md5 and constants."""
     nested = msg_type != definition.type
-    own = definition.nested(msg_type) if nested else definition
+    inner = definition.nested(msg_type) if nested else definition
     generated._generated_for = definition
-    generated._definition = own
-    generated._md5sum = own.md5sum
-    generated._full_text = own.text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-    for constant in own.root.constants:
+    generated._definition = inner
+    generated._md5sum = inner.md5sum
+    generated._full_text = inner.text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    for constant in inner.root.constants:
         name = attribute_name(constant.name)
         if not hasattr(generated, name):  # as in genpy, a constant replaces no method
             setattr(generated, name, constant.value)
@@ -264,13 +264,13 @@ def _maker(cls: Any) -> Callable[[bytes], Any]:
 
 def exact_message(cls: Any, wire: bytes) -> Any:
     """Make a message from wire bytes that must serialise to the same bytes; else CorruptMessage."""
-    found = deserialize(cls, wire)
-    if serialize(found) != wire:
+    message = deserialize(cls, wire)
+    if serialize(message) != wire:
         raise CorruptMessage(
             f"{len(wire)} bytes are no {cls._type}: serialised again they "
             "would differ, because a bool is neither 0 nor 1, or bytes follow the end"
         )
-    return found
+    return message
 
 
 def message_of_yaml(cls: Any, text: str) -> Any:
@@ -288,7 +288,7 @@ def message_of_yaml(cls: Any, text: str) -> Any:
         values = yaml.safe_load(text)
         arguments = values if isinstance(values, list) else [] if values is None else [values]
         single = len(arguments) == 1 and isinstance(arguments[0], dict)
-        message = _filled(cls, arguments[0] if single else arguments)
+        message = _fill(cls, arguments[0] if single else arguments)
         serialize(message)  # it checks numbers and texts
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as exc:
         why = " ".join(str(exc).split())[:300]
@@ -296,7 +296,7 @@ def message_of_yaml(cls: Any, text: str) -> Any:
     return message
 
 
-def _filled(cls: Any, values: Any) -> Any:
+def _fill(cls: Any, values: Any) -> Any:
     """Return a message with values of some fields by name, or of all fields in their order.
 
     Not by genpy's fill_message_args: it makes floats of times, and needs the types installed.
@@ -327,7 +327,7 @@ def _value(field: Field, value: Any, definition: Definition) -> Any:
         return _time(_TIMES[field.type], value)
     if field.is_primitive:
         return "" if value is None else value
-    return _filled(message_class(definition.nested(field.type)), value)
+    return _fill(message_class(definition.nested(field.type)), value)
 
 
 def _time(cls: Any, value: Any) -> Any:

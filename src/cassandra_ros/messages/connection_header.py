@@ -114,12 +114,12 @@ def cut_definition(header: bytes) -> tuple[bytes, int, bytes]:
     the exact inverse.
     """
     try:
-        found = [(value, at) for name, value, at in _walk(header, "") if name == _DEFINITION]
+        definitions = [(value, at) for name, value, at in _walk(header, "") if name == _DEFINITION]
     except CorruptMessage:
-        found = []
-    if not found:
+        definitions = []
+    if not definitions:
         return header, -1, b""
-    definition, offset = found[-1]
+    definition, offset = definitions[-1]
     return header[:offset] + header[offset + len(definition) :], offset, definition
 
 

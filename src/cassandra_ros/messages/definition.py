@@ -97,9 +97,9 @@ def read_definition(msg_type: str, text: str, md5sum: str) -> Definition:
         return parse_definition(msg_type, text, md5sum)
     except DefinitionError:
         with suppress(DefinitionError):
-            found = parse_definition(msg_type, text)
-            if found.root.fields:
-                return found
+            definition = parse_definition(msg_type, text)
+            if definition.root.fields:
+                return definition
         raise
 
 
@@ -138,14 +138,14 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
 
 def _message_arrays(msg_type: str, specs: Specs, prefix: str) -> Iterator[str]:
     """Yield the path of each array of messages in a checked type."""
-    for each in specs[msg_type].fields:
-        if each.is_primitive:
+    for child in specs[msg_type].fields:
+        if child.is_primitive:
             continue
-        length = "" if each.length is None else each.length
-        path = f"{prefix}{each.name}[{length}]" if each.is_array else f"{prefix}{each.name}"
-        if each.is_array:
+        length = "" if child.length is None else child.length
+        path = f"{prefix}{child.name}[{length}]" if child.is_array else f"{prefix}{child.name}"
+        if child.is_array:
             yield path
-        yield from _message_arrays(each.type, specs, f"{path}.")
+        yield from _message_arrays(child.type, specs, f"{path}.")
 
 
 def _split(msg_type: str, text: str) -> dict[str, list[str]]:
@@ -174,12 +174,12 @@ def _split(msg_type: str, text: str) -> dict[str, list[str]]:
 
 def _installed_sections(name: str, msg_type: str, md5sum: str | None) -> dict[str, list[str]]:
     """Return the texts of a missing type and of the types that it uses, from installed packages."""
-    found = installed_class(name) if md5sum is not None else None
-    if found is None:
+    msg_class = installed_class(name) if md5sum is not None else None
+    if msg_class is None:
         lacking = " and which is not installed" if md5sum is not None else ""
         what = f"the definition of {msg_type} uses {name}, which it does not define"
         raise DefinitionError(what + lacking)
-    return _split(name, str(found._full_text))
+    return _split(name, str(msg_class._full_text))
 
 
 def render_spec(spec: MessageSpec) -> str:
@@ -215,9 +215,9 @@ def _render_whole(definition: Definition, msg_type: str) -> str:
 
 def definition_of(msg_class: Any) -> Definition:
     """Return the definition of a message class or instance. DefinitionError: not a message."""
-    known = getattr(msg_class, "_definition", None)
-    if isinstance(known, Definition):  # message_class generated this class
-        return known
+    definition = getattr(msg_class, "_definition", None)
+    if isinstance(definition, Definition):  # message_class generated this class
+        return definition
     try:
         msg_type, text, md5sum = msg_class._type, msg_class._full_text, msg_class._md5sum
     except AttributeError as exc:

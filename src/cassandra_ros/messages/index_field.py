@@ -48,7 +48,7 @@ class IndexField:
         plan = wire_plan(definition)
         column = plan.column(field)
         if column is None or _is_nested(column):
-            able = [each.name for each in plan.all_columns if not _is_nested(each)]
+            able = [leaf.name for leaf in plan.all_columns if not _is_nested(leaf)]
             hint = nearest_fields(field, able)
             if column is None:
                 raise InvalidName(f"{definition.type} has no field {field!r} to index; {hint}")

@@ -41,7 +41,7 @@ class KeyPart:
         plan, name = wire_plan(definition), definition.type
         column = plan.column(field)
         if column is None:
-            hint = nearest_fields(field, sorted(each.name for each in plan.all_columns))
+            hint = nearest_fields(field, sorted(leaf.name for leaf in plan.all_columns))
             raise InvalidKey(f"{name} has no field {field!r} that could be a key; {hint}")
         if column.array or column.kind == "wire":
             why = "it has many values, and a key is one; choose another field for key_part"

@@ -239,8 +239,8 @@ def duration_ns(value: object) -> int:
     """Return the ns of a Length; InvalidKey: not a Length, or negative."""
     ns = _offset_ns(value)
     if ns is None or ns < 0:
-        known = "seconds, at least 0, a genpy.Duration or a timedelta"
-        raise InvalidKey(f"{value!r:.80} is no length of time: give {known}")
+        forms = "seconds, at least 0, a genpy.Duration or a timedelta"
+        raise InvalidKey(f"{value!r:.80} is no length of time: give {forms}")
     return ns
 
 
@@ -329,7 +329,7 @@ def _text_to_ns(text: str) -> int:
 
 def _iso_to_ns(match: re.Match[str]) -> int:
     day = datetime.strptime(match["date"], "%Y-%m-%d")
-    hour, minute, second = (int(match[part] or 0) for part in ("hour", "minute", "second"))
+    hour, minute, second = (int(match[unit] or 0) for unit in ("hour", "minute", "second"))
     delta = day.replace(hour=hour, minute=minute, second=second) - _EPOCH
     seconds, zone = delta.days * 86_400 + delta.seconds, match["zone"] or "Z"
     if zone not in "Zz":

@@ -33,7 +33,7 @@ def format_class(name: str) -> type[CassandraTopic_]:
 
 @lru_cache(maxsize=len(FORMATS))
 def _class_of(name: str) -> type[CassandraTopic_]:
-    found: type[CassandraTopic_] = getattr(
+    cls: type[CassandraTopic_] = getattr(
         import_module(f"cassandra_ros.messages.formats.{name}"), f"CassandraTopic_{name}"
     )
-    return found
+    return cls

@@ -43,8 +43,8 @@ class _Compiler:
 
     def message(self, name: str) -> _Lines:
         if name not in self._memo:
-            own = self._specs[name].fields
-            fields = [(f"{attribute_name(f.name)}: ", f.name, self._field(f)) for f in own]
+            spec = self._specs[name]
+            fields = [(f"{attribute_name(f.name)}: ", f.name, self._field(f)) for f in spec.fields]
 
             def lines(tree: MessageTree, indent: str) -> list[str]:
                 deeper = indent + "  "
@@ -58,11 +58,11 @@ class _Compiler:
             return self._one(field.type)
         show = self._array(field)
         # The tree has a text in place of an array that was too long.
-        return lambda value, indent: _quoted(value) if type(value) is str else show(value, indent)
+        return lambda value, indent: _quote(value) if type(value) is str else show(value, indent)
 
     def _one(self, type_: str) -> _Print:
         if type_ == "string":
-            return lambda value, indent: _quoted(value)
+            return lambda value, indent: _quote(value)
         if type_ in TIME_CODES:
             return lambda v, indent: f"\n{indent}secs: {v['secs']}\n{indent}nsecs: {v['nsecs']:9d}"
         if type_ in NUMBER_CODES:
@@ -95,7 +95,7 @@ def _strings(values: Sequence[str], indent: str) -> str:
     return "".join([f"\n{indent}{line}" for item in items for line in item])
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     if _PLAIN.fullmatch(text):
         return f'"{text}"'
     if not text:

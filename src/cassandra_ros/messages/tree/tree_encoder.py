@@ -78,9 +78,9 @@ class _Compiler:
             steps = [self._step(run, fixed) for run, fixed in number_runs(fields)]
 
             def write(tree: object, parts: list[bytes]) -> None:
-                found = _mapping(tree, len(fields))
+                mapping = _mapping(tree, len(fields))
                 for step in steps:
-                    step(found, parts)
+                    step(mapping, parts)
 
             self._memo[name] = write
         return self._memo[name]

@@ -67,11 +67,11 @@ def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], objec
         return None
 
     def check(wire: bytes) -> None:
-        left = len(wire) + MAX_SURPLUS
+        allowance = len(wire) + MAX_SURPLUS
 
         def message(name: str, at: int) -> int:
             """Count the objects in the arrays of a message; return the offset after the message."""
-            nonlocal left
+            nonlocal allowance
             for field in specs[name].fields:
                 if field.is_primitive:
                     at = compile_field_skip(field, specs)(wire, at)
@@ -81,8 +81,8 @@ def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], objec
                     (count,) = _length(wire, at)
                     at += 4
                 if field.is_array:
-                    left -= count * objects[field.type]
-                    if left < 0:
+                    allowance -= count * objects[field.type]
+                    if allowance < 0:
                         raise struct.error("an array counts too many empty messages")
                     if fixed_size(field.type, specs) == 0:
                         continue

@@ -134,16 +134,16 @@ def _array(type_: str, code: str, at: int, length: int) -> Callable[[ByteRows, i
         return _tuples(type_, cells, f"<{at}x{length}{code}{size - at - unit}x")
 
     def read_bytes(cells: ByteRows, size: int) -> Iterable[Any]:
-        found = struct.iter_unpack(f"<{at}x{length}s{size - at - length}x", cells.data)
-        return chain.from_iterable(found)
+        arrays = struct.iter_unpack(f"<{at}x{length}s{size - at - length}x", cells.data)
+        return chain.from_iterable(arrays)
 
     return read_bytes if type_ in _BYTES else read
 
 
 def _tuples(type_: str, cells: ByteRows, layout: str) -> Iterable[Any]:
     """Return arrays as genpy makes them: lists of bools, tuples of other numbers."""
-    found = struct.iter_unpack(layout, cells.data)
-    return map(list, found) if type_ == "bool" else found
+    arrays = struct.iter_unpack(layout, cells.data)
+    return map(list, arrays) if type_ == "bool" else arrays
 
 
 class PrimitiveArray:
@@ -165,8 +165,8 @@ class PrimitiveArray:
             cells = group.wires.cut(begins, length * self._unit)
             out.add(_tuples(self._type, cells, f"<{length}{self._code}"), 1)
         else:
-            found = map(self._one, repeat(group.wires.data), begins.tolist(), lengths.tolist())
-            out.add(map(list, found) if self._type == "bool" else found, 1)
+            arrays = map(self._one, repeat(group.wires.data), begins.tolist(), lengths.tolist())
+            out.add(map(list, arrays) if self._type == "bool" else arrays, 1)
         return ends
 
     def _one(self, data: bytes, at: int, length: int) -> tuple[Any, ...]:

@@ -83,16 +83,16 @@ class RisingPlanes:
     def __getitem__(self, key: Any) -> ByteArray:
         """Return rows by a slice or indices of any shape, or with (:, key) columns."""
         if not isinstance(key, tuple):
-            return _decoded(self._stored[key], self._rises[key])
+            return _decode(self._stored[key], self._rises[key])
         columns = key[1]
-        found: ByteArray = self._stored[:, columns].copy()
+        cells: ByteArray = self._stored[:, columns].copy()
         rising = self._stored[self._rises]
         if isinstance(columns, (int, np.integer)):
             rising = rising[:, : columns + 1]
-            found[self._rises] = np.add.reduce(rising, axis=1, dtype=np.uint8)
+            cells[self._rises] = np.add.reduce(rising, axis=1, dtype=np.uint8)
         else:
-            found[self._rises] = np.add.accumulate(rising, axis=1, dtype=np.uint8)[:, columns]
-        return found
+            cells[self._rises] = np.add.accumulate(rising, axis=1, dtype=np.uint8)[:, columns]
+        return cells
 
     @property
     def T(self) -> ByteArray:  # noqa: N802 - numpy's name
@@ -113,13 +113,13 @@ def copy_planes(planes: Planes, out: ByteArray) -> None:
         out[:] = planes[:]
 
 
-def _decoded(stored: ByteArray, rises: NDArray[np.bool_]) -> ByteArray:
+def _decode(stored: ByteArray, rises: NDArray[np.bool_]) -> ByteArray:
     """Return rows of which some are stored as differences."""
     if not rises.any():
         return stored
-    found: ByteArray = stored.copy()
-    found[rises] = np.add.accumulate(stored[rises], axis=-1, dtype=np.uint8)
-    return found
+    rows: ByteArray = stored.copy()
+    rows[rises] = np.add.accumulate(stored[rises], axis=-1, dtype=np.uint8)
+    return rows
 
 
 MIN_STACKED = 8
@@ -335,8 +335,8 @@ class Head:
 
 
 def _size_of(type_: str, specs: Specs) -> int | None:
-    known = PRIMITIVE_SIZES.get(type_)
-    return fixed_size(type_, specs) if known is None or type_ == "string" else known
+    size = PRIMITIVE_SIZES.get(type_)
+    return fixed_size(type_, specs) if size is None or type_ == "string" else size
 
 
 class Stack(NamedTuple):
@@ -355,28 +355,28 @@ class Stack(NamedTuple):
         """Return the elements of an array of numbers: (elements, messages)."""
         unit = PRIMITIVE_SIZES[base]
         parts = [
-            (each.ats[:, None] + np.arange(each.length) * unit).ravel()
-            for each in self.layout.arrays.get(path, [])
+            (array.ats[:, None] + np.arange(array.length) * unit).ravel()
+            for array in self.layout.arrays.get(path, [])
         ]
         return read_numbers(self.planes, np.concatenate([_NOWHERE, *parts]), base)
 
     def element(self, path: str, index: int, base: str) -> NumberArray:
         """Return one element of an array of numbers that occurs once in a message."""
-        found = self.layout.arrays.get(path, [])
-        ats = [e.ats + index * PRIMITIVE_SIZES[base] for e in found if index < e.length]
+        arrays = self.layout.arrays.get(path, [])
+        ats = [e.ats + index * PRIMITIVE_SIZES[base] for e in arrays if index < e.length]
         return read_numbers(self.planes, ats[0] if ats else _NOWHERE, base)
 
     def texts(self, path: str) -> list[bytes]:
         """Return the distinct values of a string, or of all strings of an array."""
-        found: dict[bytes, None] = {}
+        texts: dict[bytes, None] = {}
         for at, size in dict.fromkeys(self.layout.texts.get(path, [])):
             rows = self.planes[at : at + size]
             if (rows == rows[:, :1]).all():
-                found[rows[:, 0].tobytes()] = None
+                texts[rows[:, 0].tobytes()] = None
             else:
                 every = rows.T.tobytes()
-                found.update(dict.fromkeys(every[n : n + size] for n in range(0, len(every), size)))
-        return list(found)
+                texts.update(dict.fromkeys(every[n : n + size] for n in range(0, len(every), size)))
+        return list(texts)
 
 
 class Stacker:
@@ -406,22 +406,22 @@ class Stacker:
         least = 1 if size >= LARGE_BYTES else MIN_STACKED
         stacks: list[Stack] = []
         rest: list[Int64Array] = []
-        left: Int64Array = np.arange(count)
+        indices: Int64Array = np.arange(count)
         for _ in range(MAX_LAYOUTS_TRIED):
-            if len(left) < max(1, least):
+            if len(indices) < max(1, least):
                 break
-            layout = self._layout(planes[:, left[0]], LENGTHS_EACH * len(left))
-            part = planes if len(left) == count else planes[:, left]
-            fits = np.arange(len(left)) == 0 if layout is None else layout.fits(part)
+            layout = self._layout(planes[:, indices[0]], LENGTHS_EACH * len(indices))
+            subset = planes if len(indices) == count else planes[:, indices]
+            fits = np.arange(len(indices)) == 0 if layout is None else layout.fits(subset)
             if layout is not None and fits.all():
-                return [*stacks, Stack(layout, members[left], part)], _joined(rest)
-            chosen = left[fits]
+                return [*stacks, Stack(layout, members[indices], subset)], _join(rest)
+            chosen = indices[fits]
             if layout is not None and len(chosen) >= least:
-                stacks.append(Stack(layout, members[chosen], part[:, fits]))
+                stacks.append(Stack(layout, members[chosen], subset[:, fits]))
             else:
                 rest.append(members[chosen])
-            left = left[~fits]
-        return stacks, _joined([*rest, members[left]])
+            indices = indices[~fits]
+        return stacks, _join([*rest, members[indices]])
 
     def heads(self, groups: Iterable[tuple[Planes, Int64Array]]) -> Stack:
         """Return the heads of messages of any size as one stack; shorter messages are left out.
@@ -509,5 +509,5 @@ def read_numbers(planes: Planes, ats: Int64Array, base: str) -> NumberArray:
     return (values != 0).view(np.uint8) if base == "bool" else values
 
 
-def _joined(parts: Sequence[Int64Array]) -> Int64Array:
+def _join(parts: Sequence[Int64Array]) -> Int64Array:
     return np.sort(np.concatenate(parts)) if parts else _NOWHERE

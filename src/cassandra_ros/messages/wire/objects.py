@@ -76,8 +76,8 @@ class _ElementArray:
             ends = begins + counts * self._size
         period = group.period * most if most * len(counts) == total else total
         inner = ElementGroup(group.wires, ats, np.repeat(group.ends, counts), period)
-        found, _, objects = self._element.make(inner)
-        lists = map(list, map(islice, repeat(found), counts.tolist()))
+        elements, _, objects = self._element.make(inner)
+        lists = map(list, map(islice, repeat(elements), counts.tolist()))
         out.add(lists, 1 + objects * total / len(counts))
         return group.checked(ends)
 
@@ -252,10 +252,10 @@ class _Compiler:
         if type_ == self._root:
             return self._cls
         package, _, name = type_.partition("/")
-        known = self._cls.deserialize.__globals__
+        namespace = self._cls.deserialize.__globals__
         try:
-            generated = known.get(f"_{package}__{name}")
-            return getattr(known[package].msg, name) if generated is None else generated
+            generated = namespace.get(f"_{package}__{name}")
+            return getattr(namespace[package].msg, name) if generated is None else generated
         except (KeyError, AttributeError) as exc:
             raise CannotBatch from exc
 

@@ -56,14 +56,14 @@ class _Segment(NamedTuple):
         if self.permutation is None:
             return np.zeros((len(ats), 0), np.uint8), np.ones(len(ats), np.bool_), 0
         size = self.permutation.row_size if back else self.permutation.wire_size
-        found = windows(data, size)[ats]
-        return (*(self.permutation.wires if back else self.permutation.rows)(found), size)
+        cells = windows(data, size)[ats]
+        return (*(self.permutation.wires if back else self.permutation.rows)(cells), size)
 
     def size(self, back: bool) -> int:
         """Return the number of bytes before the variable data, length prefix included."""
         fixed = self.permutation
-        own = 0 if fixed is None else fixed.row_size if back else fixed.wire_size
-        return own + (4 if self.unit else 0)
+        fixed_size = 0 if fixed is None else fixed.row_size if back else fixed.wire_size
+        return fixed_size + (4 if self.unit else 0)
 
 
 class SegmentPermuter:
@@ -78,7 +78,7 @@ class SegmentPermuter:
         for fixed, tail in segments:
             if tail is not None and (tail.kind not in ("text", "bytes") or not tail.has_count):
                 raise NoPermutation
-            size = sum(struct.calcsize("<" + each.little) for each in fixed)
+            size = sum(struct.calcsize("<" + field.little) for field in fixed)
             permutation = Permutation((Segment(fixed, None),), bytes(size)) if fixed else None
             unit = 0 if tail is None else tail.unit
             self._segments.append(
@@ -129,7 +129,7 @@ class SegmentPermuter:
                     good &= np.fromiter(map(bytes.isascii, parts[-1]), np.bool_, len(good))
         good &= ats == ends
         rows = map(b"".join, zip(*parts))
-        return [each if fine else None for each, fine in zip(rows, good.tolist())]
+        return [output if fine else None for output, fine in zip(rows, good.tolist())]
 
 
 def _lengths(
@@ -175,9 +175,9 @@ class Permuter:
 
         None is also returned for messages whose columns are inexact.
         """
-        found: list[bytes | None] = [None] * len(wires)
+        all_rows: list[bytes | None] = [None] * len(wires)
         if len(wires) < MIN_ROWS:
-            return found
+            return all_rows
         if self._by_segment is not None:
             return self._by_segment.rows(wires)
         for members, planes in by_size(wires):
@@ -191,8 +191,8 @@ class Permuter:
                 every = zip(stack.members.tolist(), split_rows(rows), good.tolist())
                 for at, row, fine in every:
                     if fine:
-                        found[at] = row
-        return found
+                        all_rows[at] = row
+        return all_rows
 
     def _permutation(self, stack: Stack) -> Permutation | None:
         key = len(stack.planes), stack.layout.lengths.tobytes()
@@ -225,9 +225,9 @@ class Permuter:
         Returns:
             The messages; None for each that must be built alone, and whose row may be malformed.
         """
-        found: list[bytes | None] = [None] * len(starts)
+        messages: list[bytes | None] = [None] * len(starts)
         if len(starts) < MIN_ROWS:
-            return found
+            return messages
         if self._by_segment is not None:
             return self._by_segment.wires(data, starts, ends)
         lengths = ends - starts
@@ -237,17 +237,17 @@ class Permuter:
             length = int(lengths[members[0]])
             # The rest of an expired row ends before its columns.
             if len(members) >= MIN_ROWS and length > 0 and sizes[members[0]] <= MAX_BYTES:
-                self._built(data, starts, length, sizes, members, found)
-        return found
+                self._build(data, starts, length, sizes, members, messages)
+        return messages
 
-    def _built(
+    def _build(
         self,
         data: bytes,
         starts: Int64Array,
         length: int,
         sizes: Int64Array,
         members: Int64Array,
-        found: list[bytes | None],
+        messages: list[bytes | None],
     ) -> None:
         """Set the messages of rows of equal size."""
         key = length, int(sizes[members[0]])
@@ -262,7 +262,7 @@ class Permuter:
                 self._keep(key, builders)
             wires, good = builders[n].wires(rows)
             for at, wire in zip(members[good].tolist(), split_rows(wires[good])):
-                found[at] = wire
+                messages[at] = wire
             members, rows = members[~good], rows[~good]
             if not len(members):
                 return
@@ -276,23 +276,23 @@ class Permuter:
         fits = made is not None and (made.row_size, made.wire_size) == key
         return made if fits else None
 
-    def _keep(self, key: tuple[int, int], known: list[Permutation]) -> None:
+    def _keep(self, key: tuple[int, int], permutations: list[Permutation]) -> None:
         cache = self._row_cache  # another thread may replace the cache meanwhile
         if key not in cache and len(cache) >= MAX_CACHED:
             cache = self._row_cache = {}
-        cache[key] = known
+        cache[key] = permutations
 
 
 def _columns(row: bytes) -> list[bytes | None]:
     """Split a row into its columns; raises struct.error."""
-    found: list[bytes | None] = []
+    columns: list[bytes | None] = []
     at = 0
     while at < len(row):
         (size,) = _size(row, at)
         at += 4
-        found.append(row[at : at + size] if size >= 0 else None)
+        columns.append(row[at : at + size] if size >= 0 else None)
         at += max(0, size)
-    return found
+    return columns
 
 
 def split_rows(rows: ByteArray) -> list[bytes]:

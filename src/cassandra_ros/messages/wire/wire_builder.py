@@ -44,15 +44,15 @@ def _fixed(fixed: Sequence[FixedField], first: int) -> BuildStep:
     blobs = [(i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
 
     def step(columns: EncodedColumns, parts: list[bytes]) -> None:
-        own = columns[first:after]
+        cells = columns[first:after]
         for i, size in blobs:
-            if len(own[i]) != size:
+            if len(cells[i]) != size:
                 raise struct.error("a blob has another size than its array")
         if varints:
-            own = list(own)
+            cells = list(cells)
             for i in varints:
-                own[i] = int.from_bytes(own[i], "big", signed=True).to_bytes(8, "big")
-        values: Sequence[int] = unpack(b"".join(own))
+                cells[i] = int.from_bytes(cells[i], "big", signed=True).to_bytes(8, "big")
+        values: Sequence[int] = unpack(b"".join(cells))
         if times:
             values = changed = list(values)
             for i, convert in times:

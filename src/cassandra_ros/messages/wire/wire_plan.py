@@ -116,13 +116,13 @@ def _head(
             values[i] = convert(value)
         columns: Sequence[bytes | None] = cut(pack(*values))
         if varints or inexact:
-            columns = own = list(columns)
+            columns = cells = list(columns)
             for i in varints:
-                own[i] = pack_varint(values[i])
+                cells[i] = pack_varint(values[i])
             if strict:
                 odd += inexact
                 for i in inexact:
-                    own[i] = None
+                    cells[i] = None
         out += columns
         return values[-1]  # type: ignore[no-any-return]
 
@@ -377,11 +377,11 @@ class WirePlan:
 
     def _compile_cut(self, names: Sequence[str]) -> tuple[list[WalkStep], list[int]]:
         """Return the steps that read the named columns, and the index of each in their output."""
-        found = [column.name for column in self.all_columns if column.name in names]
+        columns = [column.name for column in self.all_columns if column.name in names]
         for name in names:
-            if name not in found:
+            if name not in columns:
                 raise InvalidExpression(f"{self.definition.type} has no field {name!r}")
-        return compile_walk(self._segments, False, found), [found.index(name) for name in names]
+        return compile_walk(self._segments, False, columns), [columns.index(name) for name in names]
 
     def _no_message(self, wire: bytes) -> CorruptMessage:
         return CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")

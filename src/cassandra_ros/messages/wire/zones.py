@@ -143,7 +143,7 @@ class ZoneMap:
             candidates[name] += [raw.decode("utf-8", "replace") for raw in stack.texts(name)]
         for base, names in self._numbers.items():
             ats = [stack.layout.numbers(name) for name in names]
-            owners = [name for name, each in zip(names, ats) for _ in range(len(each))]
+            owners = [name for name, offsets in zip(names, ats) for _ in range(len(offsets))]
             if not owners:
                 continue
             values = read_numbers(stack.planes, np.concatenate(ats), base)
@@ -161,9 +161,9 @@ class ZoneMap:
         except CorruptMessage:
             return False
         for column, value in zip(self.fields.values(), values):
-            for each in value if column.is_list else (value,):
-                if each == each:
-                    candidates[column.name].append(each)
+            for element in value if column.is_list else (value,):
+                if element == element:
+                    candidates[column.name].append(element)
                 else:
                     nan.add(column.name)
         return True
