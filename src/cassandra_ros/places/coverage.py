@@ -40,22 +40,22 @@ class Coverage:
         if not extents:
             return []
         cells = cells_of(region.box)
-        noted = [] if cells is None else self._noted(robot)
+        noted = [] if cells is None else self._valid_records(robot)
         ranges = list(uncovered_ranges(extents, noted))
-        if cells is not None and any(robot.frame in each.above for each in noted):
+        if cells is not None and any(robot.frame in record.above for record in noted):
             ranges += self._visits(robot, cells, low, high)
         return list(clip_ranges(merge_ranges(sorted(ranges)), low, high))
 
-    def _noted(self, robot: Robot) -> list[IndexedPoses]:
+    def _valid_records(self, robot: Robot) -> list[IndexedPoses]:
         """Return the index records of a robot that are still valid."""
         tables = [table.name for table in robot.topic.tables]
         records = [
-            each
-            for each in self._index.placed(tables)
-            if each.node == robot.node and each.robot in robot.keys
+            record
+            for record in self._index.placed(tables)
+            if record.node == robot.node and record.robot in robot.keys
         ]
         fixed = robot.fixed() if records else {}
-        return [each for each in records if is_valid(each, robot, fixed)]
+        return [record for record in records if is_valid(record, robot, fixed)]
 
     def _visits(
         self, robot: Robot, cells: Sequence[Cell], low: int, high: int
@@ -89,8 +89,8 @@ def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[IndexedPoses]) -
     those at which several runs recorded: then each message is judged by the poses of its own run.
     """
     indexed: dict[tuple[str, int], list[NsRange]] = {}
-    for each in noted:
-        indexed.setdefault((each.table, each.writer), []).append((each.low, each.high))
+    for record in noted:
+        indexed.setdefault((record.table, record.writer), []).append((record.low, record.high))
     for extent in extents:
         said = list(merge_ranges(sorted(indexed.get(extent[:2], ()))))
         for low, high in subtract_ranges([extent[2:]], said):

@@ -98,7 +98,7 @@ class TfRecording:
         fixed = FixedTransforms()
         TransformTopic(topic, self._node, self._writers).read(fixed, 0, MAX_NS, reverse=True)
         samples = list(fixed.all())
-        self.recorded.update(n.lstrip("/") for each in samples for n in (each.child, each.parent))
+        self.recorded.update(n.lstrip("/") for s in samples for n in (s.child, s.parent))
         return {
             self.code(sample.child): (
                 self.code(sample.parent),
@@ -263,12 +263,12 @@ class _AncestorSearch:
             way = going.pop()
             steps, parents = self._step(way.frames[-1], way.rows)
             for parent in np.unique(parents).tolist():
-                part = _part(way, parents == parent)
+                path = _part(way, parents == parent)
                 if parent == NO_FRAME or parent in way.frames:
-                    done.append(part)
+                    done.append(path)
                     continue
-                higher = steps.take(parents == parent) @ part.poses[-1]
-                going.append(AncestorPath(part.rows, (*way.frames, parent), (*part.poses, higher)))
+                higher = steps.take(parents == parent) @ path.poses[-1]
+                going.append(AncestorPath(path.rows, (*way.frames, parent), (*path.poses, higher)))
         return done
 
     def _step(self, frame: int, rows: Codes) -> tuple[Rigid, Codes]:

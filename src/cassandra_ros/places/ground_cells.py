@@ -74,7 +74,9 @@ def visits_of(path: Path) -> Iterator[Visit]:
     At each time of the path, a visit exists for the cell of each size that contains its point.
     """
     for size in SIZES_M:
-        yield from _joined(np.concatenate([_of_poses(path, size), _of_lines(path, size)]), size)
+        yield from _join_visits(
+            np.concatenate([_of_poses(path, size), _of_lines(path, size)]), size
+        )
 
 
 def _of_poses(path: Path, size: int) -> Times:
@@ -116,11 +118,11 @@ def _numbers(metres: Floats, size: int) -> Times:
     return numbers
 
 
-def _joined(found: Times, size: int) -> Iterator[Visit]:
+def _join_visits(visits: Times, size: int) -> Iterator[Visit]:
     """Join visits of a cell with short pauses between them; (n, 4) numbers: x, y, low, high."""
-    if not len(found):
+    if not len(visits):
         return
-    x, y, low, high = found[np.lexsort((found[:, 2], found[:, 1], found[:, 0]))].T
+    x, y, low, high = visits[np.lexsort((visits[:, 2], visits[:, 1], visits[:, 0]))].T
     other = (np.diff(x) != 0) | (np.diff(y) != 0) | (low[1:] > high[:-1] + JOIN_NS)
     first = np.concatenate([[0], np.flatnonzero(other) + 1])
     ends = np.maximum.reduceat(high, first)

@@ -63,13 +63,13 @@ class Path:
         return len(self.times)
 
     @cached_property
-    def _listed(self) -> tuple[list[int], list[float], list[float]]:
+    def _lists(self) -> tuple[list[int], list[float], list[float]]:
         # A single time is found faster in lists than in arrays.
         return self.times.tolist(), self.x.tolist(), self.y.tolist()
 
     def at(self, t: int) -> tuple[float, float] | None:
         """Return the position at a time, ns; None if it is unknown."""
-        times, x, y = self._listed
+        times, x, y = self._lists
         n = bisect_right(times, t) - 1
         if n < 0:
             return None
@@ -85,7 +85,7 @@ class Path:
         return x[n] + share * dx, y[n] + share * dy
 
     @cached_property
-    def _joined(self) -> Times:
+    def _line_starts(self) -> Times:
         """Indices of the poses that are connected to the next one."""
         far = np.maximum(np.abs(np.diff(self.x)), np.abs(np.diff(self.y)))
         joined: Times = np.flatnonzero((np.diff(self.times) <= self.gap) & (far <= LONGEST_WAY_M))
@@ -94,7 +94,7 @@ class Path:
     @property
     def lines(self) -> tuple[Times, Times, Lines]:
         """The lines between connected poses: start times, end times, coordinates."""
-        n = self._joined
+        n = self._line_starts
         x, y = self.x[n], self.y[n]
         lines = Lines(x, y, self.x[n + 1] - x, self.y[n + 1] - y)
         return self.times[n], self.times[n + 1], lines
@@ -117,7 +117,7 @@ class Path:
     def alone(self) -> Times:
         """Indices of the poses that are connected to neither neighbour."""
         alone = np.ones(len(self.times), bool)
-        alone[self._joined] = alone[self._joined + 1] = False
+        alone[self._line_starts] = alone[self._line_starts + 1] = False
         numbers: Times = np.flatnonzero(alone)
         return numbers
 

@@ -88,15 +88,16 @@ class PoseTopic:
         check_nodes(node)
         self._topic, self._node, self._writers = find(topic), node, writers
         self._offset = Rigid.none(1) if offset is None else offset
-        told = [t for t in self._topic.tables if pose_fields(t.definition)]
-        if not told:
+        tables = [t for t in self._topic.tables if pose_fields(t.definition)]
+        if not tables:
             types = ", ".join(sorted({t.msg_type for t in self._topic.tables})) or "no type yet"
             raise TypeMismatch(
                 f"topic {self._topic.name} ({types}) tells no poses: give one of "
                 "nav_msgs/Odometry, geometry_msgs/PoseStamped or PoseWithCovarianceStamped"
             )
-        self._fields = list(pose_fields(told[0].definition))
-        names = {ref.name for ref in all_fields(told[0].definition)} if told[0].definition else ()
+        definition = tables[0].definition
+        self._fields = list(pose_fields(definition))
+        names = {ref.name for ref in all_fields(definition)} if definition else ()
         self._stamped = _STAMP in names
         self._framed = _FRAME in names
         if frame is None:
@@ -109,8 +110,8 @@ class PoseTopic:
         if first is None:
             return ""
         whose = (self._node, self._writers)
-        found = arrays_between(self._topic, [_FRAME], first, first, *whose)
-        return str(next(iter(found[_FRAME]), None) or "").lstrip("/")
+        arrays = arrays_between(self._topic, [_FRAME], first, first, *whose)
+        return str(next(iter(arrays[_FRAME]), None) or "").lstrip("/")
 
     def read(self, low: int, high: int) -> Samples:
         """Return the poses with a row key in [low, high], ns; none of them in another frame."""
@@ -121,7 +122,7 @@ class PoseTopic:
         fields = ["KEY", *head, *self._fields]
         arrays = arrays_between(self._topic, fields, low, high, self._node, self._writers)
         if framed:
-            texts = (str(each or "").lstrip("/") for each in arrays[_FRAME])
+            texts = (str(text or "").lstrip("/") for text in arrays[_FRAME])
             ours = np.fromiter((text in (self.frame, "") for text in texts), bool)
             if not ours.all():
                 arrays = {name: values[ours] for name, values in arrays.items()}
@@ -155,8 +156,8 @@ class PoseTopic:
         self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
     ) -> KnownPoses:
         """Return the poses at some times, ns, computed from the samples around them."""
-        (poses, known), _ = samples.track(1, stamped).at(times, longest_gap_ns)
-        return KnownPoses(poses @ self._offset, known)
+        (poses, valid), _ = samples.track(1, stamped).at(times, longest_gap_ns)
+        return KnownPoses(poses @ self._offset, valid)
 
 
 def _numbers(columns: Sequence[Floats]) -> Floats:

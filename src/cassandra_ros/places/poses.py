@@ -150,8 +150,8 @@ class Poses:
 
     def _next_key(self, time: int) -> int:
         """Return a row key after a time such that nothing was recorded in between."""
-        found = self._source.next_key(time)
-        return MAX_NS + 1 if found is None else found
+        key = self._source.next_key(time)
+        return MAX_NS + 1 if key is None else key
 
     def explain(self, time: int) -> str:
         """Return why the pose at a time is unknown, as a text."""

@@ -92,18 +92,18 @@ class Rigid:
     def yaw(self) -> Floats:
         """Rotation about z, radians in [-pi, pi]."""
         x, y, z, w = self.turned.T
-        found: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return found
+        angles: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        return angles
 
 
 def rotated(turned: Floats, points: Floats) -> Floats:
     """Rotate points by quaternions, row by row; a single row is used for all rows of the other."""
-    found: Floats
+    new_points: Floats
     if len(turned) == 1:
-        found = points @ _matrices(turned)[0].T
+        new_points = points @ _matrices(turned)[0].T
     else:
-        found = np.einsum("nij,nj->ni", _matrices(turned), points)
-    return found
+        new_points = np.einsum("nij,nj->ni", _matrices(turned), points)
+    return new_points
 
 
 def _matrices(turned: Floats) -> Floats:
@@ -114,8 +114,8 @@ def _matrices(turned: Floats) -> Floats:
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    found: Floats = np.moveaxis(np.array(rows), 2, 0)
-    return found
+    matrices: Floats = np.moveaxis(np.array(rows), 2, 0)
+    return matrices
 
 
 def _product(a: Floats, b: Floats) -> Floats:
@@ -127,15 +127,15 @@ def _product(a: Floats, b: Floats) -> Floats:
 
 def between(a: Rigid, b: Rigid, share: Floats) -> Rigid:
     """Interpolate as tf2 does: linearly, and along the shorter arc; share is 0 at a, 1 at b."""
-    part = share[:, None]
-    moved = a.moved + part * (b.moved - a.moved)
+    weight = share[:, None]
+    moved = a.moved + weight * (b.moved - a.moved)
     cosine = (a.turned * b.turned).sum(1, keepdims=True)
     other = np.where(cosine < 0, -b.turned, b.turned)
     angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
     sine = np.sin(angle)
     straight = sine < _SMALL_SINE
     divisor = np.where(straight, 1, sine)
-    mine = np.where(straight, 1 - part, np.sin((1 - part) * angle) / divisor)
-    others = np.where(straight, part, np.sin(part * angle) / divisor)
+    mine = np.where(straight, 1 - weight, np.sin((1 - weight) * angle) / divisor)
+    others = np.where(straight, weight, np.sin(weight * angle) / divisor)
     turned = mine * a.turned + others * other
     return Rigid(moved, turned / np.linalg.norm(turned, axis=1, keepdims=True))

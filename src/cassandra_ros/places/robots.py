@@ -196,17 +196,17 @@ class RobotFinder:
         """Return the robots of some nodes, one for each node that has poses; None = all nodes."""
         named = self._named_topic()
         topics = [named] if named is not None else [*self._tf(), *self._candidates]
-        all_nodes = {each for topic in topics for each in self._stored.nodes(topic)}
+        all_nodes = {node for topic in topics for node in self._stored.nodes(topic)}
         writing = None if self._writers is None else self._stored.run_nodes(self._writers)
-        asked = sorted(
+        node_ids = sorted(
             node
             for node in all_nodes
             if (nodes is None or node in nodes) and (writing is None or node in writing)
         )
-        frames_of_runs = [self._of_runs(each, named) for each in asked]
+        frames_of_runs = [self._of_runs(node, named) for node in node_ids]
         robots = [robot for robot in frames_of_runs if robot is not None]
         if not robots and all_nodes:
-            raise InvalidOption(self._unknown_robots(nodes, all_nodes) or self._no_pose(asked))
+            raise InvalidOption(self._unknown_robots(nodes, all_nodes) or self._no_pose(node_ids))
         if not robots:
             raise InvalidOption(
                 "where robots were is not stored: neither tf nor a topic of poses, as "
@@ -217,17 +217,17 @@ class RobotFinder:
     def usual_frame(self) -> str:
         """Return the most usual frame for places: map or odom, else one that exists."""
         topics = [*self._tf(), *self._candidates]
-        nodes = sorted({each for topic in topics for each in self._stored.nodes(topic)})
-        seen = [found for found in map(self._find_frames, nodes) if found is not None]
-        told = {self._frame_of(topic, node) for topic in self._candidates for node in nodes}
-        known = {frame for each in seen for frame in each.frames} | told
-        tops = [frame for each in seen for frame in each.tops]
-        found = [frame for frame in USUAL_FRAMES if frame in known]
-        return next(iter([*found, *sorted(filter(None, told)), *tops]), USUAL_FRAMES[0])
+        nodes = sorted({node for topic in topics for node in self._stored.nodes(topic)})
+        tf_frames = [tf for tf in map(self._find_frames, nodes) if tf is not None]
+        pose_frames = {self._frame_of(topic, node) for topic in self._candidates for node in nodes}
+        all_frames = {frame for tf in tf_frames for frame in tf.frames} | pose_frames
+        tops = [frame for tf in tf_frames for frame in tf.tops]
+        usual = [frame for frame in USUAL_FRAMES if frame in all_frames]
+        return next(iter([*usual, *sorted(filter(None, pose_frames)), *tops]), USUAL_FRAMES[0])
 
     def _tf(self) -> list[ArraySource]:
-        found = (find_stored(self._stored.find, name) for name in (TF, TF_STATIC))
-        return [topic for topic in found if topic is not None]
+        topics = (find_stored(self._stored.find, name) for name in (TF, TF_STATIC))
+        return [topic for topic in topics if topic is not None]
 
     def _named_topic(self) -> ArraySource | None:
         """Return the topic that was given as the robot; None if it is a frame."""
@@ -249,8 +249,8 @@ class RobotFinder:
 
     def _of_runs(self, node: str, named: ArraySource | None) -> Robot | None:
         """Return the robot of a node by the poses of the runs, else by the poses of all runs."""
-        own = None if self._writers is None else self._of_node(node, named, self._writers)
-        return own or self._of_node(node, named, None)
+        robot = None if self._writers is None else self._of_node(node, named, self._writers)
+        return robot or self._of_node(node, named, None)
 
     def _of_node(self, node: str, named: ArraySource | None, writers: Writers) -> Robot | None:
         def of_topic(topic: ArraySource) -> Robot:
@@ -259,8 +259,8 @@ class RobotFinder:
         if named is not None:
             if writers is not None and key_after(named, -1, node, writers) is None:
                 return None
-            told = self._frame_of(named, node, writers)
-            return of_topic(named) if told in (self._frame, "") else None
+            frame = self._frame_of(named, node, writers)
+            return of_topic(named) if frame in (self._frame, "") else None
         seen = self._find_frames(node, writers)
         if seen is not None and self._frame in seen.frames:
             return self._in_tf(node, seen, writers)
@@ -298,12 +298,12 @@ class RobotFinder:
         self._told.setdefault(topic.name, []).append(frame or _NO_FRAME_NAME)
         return frame
 
-    def _unknown_robots(self, asked: Sequence[str] | None, stored: set[str]) -> str:
+    def _unknown_robots(self, nodes: Sequence[str] | None, stored: set[str]) -> str:
         """Say that none of the asked nodes has poses, with similar ones; '' = one has."""
-        if asked is None or stored.intersection(asked):
+        if nodes is None or stored.intersection(nodes):
             return ""
-        similar = "".join(nearest(node, sorted(stored)) for node in asked)
-        return f"no pose of robot {' or '.join(map(repr, asked))} is stored{similar}"
+        similar = "".join(nearest(node, sorted(stored)) for node in nodes)
+        return f"no pose of robot {' or '.join(map(repr, nodes))} is stored{similar}"
 
     def _no_pose(self, nodes: Sequence[str]) -> str:
         all_frames: set[str] = set()

@@ -178,22 +178,22 @@ class RunIndex:
         Args:
             progress: Called with the seconds that are done, and the seconds in all.
         """
-        parts = [part for part in self._poses_of_topics() if part.extents]
-        if not parts:
+        all_poses = [poses for poses in self._poses_of_topics() if poses.extents]
+        if not all_poses:
             return None
-        extents = [extent for part in parts for extent in part.extents]
-        total = sum(len(list(_windows(part.extents))) for part in parts)
+        extents = [extent for poses in all_poses for extent in poses.extents]
+        total = sum(len(list(_windows(poses.extents))) for poses in all_poses)
         done = visits = 0
         for table in {extent.table for extent in extents}:
             self._index.withdraw(table, run=self._whose)  # the visits are written again
-        for part in parts:
-            for low, high in _windows(part.extents):
-                visits_of_window = list(part.visits(low, high))
+        for poses in all_poses:
+            for low, high in _windows(poses.extents):
+                visits_of_window = list(poses.visits(low, high))
                 self._index.put(visits_of_window, [], self._ttl)
                 done, visits = done + 1, visits + len(visits_of_window)
                 if progress is not None:
                     progress(done * _WINDOW_SEC, total * _WINDOW_SEC)
-            self._index.put([], part.placed(), self._ttl)
+            self._index.put([], poses.placed(), self._ttl)
         return IndexResult(min(e.low for e in extents), max(e.high for e in extents), visits)
 
     def _poses_of_topics(self) -> Iterator[_TopicPoses]:
@@ -206,10 +206,12 @@ class RunIndex:
             if tells_poses(topic):
                 extents = self._extents(topic)
                 if extents:
-                    told = TopicVisits(self._stored.find, topic.name, whose)
+                    visits = TopicVisits(self._stored.find, topic.name, whose)
                     for table in sorted({extent.table for extent in extents}):
-                        own = [extent for extent in extents if extent.table == table]
-                        yield _TopicPoses(own, partial(told.visits, table), told.placed)
+                        table_extents = [extent for extent in extents if extent.table == table]
+                        yield _TopicPoses(
+                            table_extents, partial(visits.visits, table), visits.placed
+                        )
 
     def _extents(self, topic: ArraySource) -> list[Extent]:
         node, writer = self._whose
@@ -227,8 +229,8 @@ class _TopicPoses(NamedTuple):
     def placed(self) -> Iterator[IndexedPoses]:
         """Yield the index records of the poses, by table."""
         for table in sorted({extent.table for extent in self.extents}):
-            own = [extent for extent in self.extents if extent.table == table]
-            yield from self.note(table, min(e.low for e in own), max(e.high for e in own))
+            extents = [extent for extent in self.extents if extent.table == table]
+            yield from self.note(table, min(e.low for e in extents), max(e.high for e in extents))
 
 
 def _windows(extents: Sequence[Extent]) -> Iterator[tuple[int, int]]:

@@ -38,21 +38,21 @@ class Window:
 
     every: Path
     """Path by the poses of all runs."""
-    own: Mapping[str, Path] = field(default_factory=dict)
+    by_run: Mapping[str, Path] = field(default_factory=dict)
     """Paths by the poses of one run, by the value of RUN, if several runs overlap."""
     complete: bool = False
     """Whether no more poses are expected: there is one after the end of the window."""
 
     def at(self, run: str, t: int) -> tuple[float, float] | None:
         """Return the position of the robot of a run's message at a time, ns; None if unknown."""
-        mine = self.own.get(run)
+        mine = self.by_run.get(run)
         place = None if mine is None else mine.at(t)
         return self.every.at(t) if place is None else place
 
     @property
     def paths(self) -> list[Path]:
         """All paths."""
-        return [self.every, *self.own.values()]
+        return [self.every, *self.by_run.values()]
 
 
 class Windows:
@@ -69,8 +69,8 @@ class Windows:
     def _still(self) -> Path | None:
         # A pose that is known without any moving transform is fixed.
         nothing, once = Samples.none(), np.zeros(1, np.int64)
-        poses, known = self.robot.source().placed(nothing, once, False, 0)
-        return Path.still(float(poses.x[0]), float(poses.y[0])) if known[0] else None
+        poses, valid = self.robot.source().placed(nothing, once, False, 0)
+        return Path.still(float(poses.x[0]), float(poses.y[0])) if valid[0] else None
 
     def _poses_of(self, writers: Writers) -> Poses:
         if writers not in self._poses:
@@ -107,19 +107,19 @@ class Windows:
         extents = self._stored.extents(robot.topic, robot.node, low, high)
         # Several runs may have the same value of RUN: then their poses are used together.
         called: dict[str, set[int]] = {}
-        for writer in {each.writer for pair in overlapping_pairs(extents) for each in pair}:
+        for writer in {extent.writer for pair in overlapping_pairs(extents) for extent in pair}:
             called.setdefault(self._stored.run_text(writer), set()).add(writer)
-        own = {
+        by_run = {
             text: Path.of(self._poses_of(frozenset(writers)).tracks(low, high))
             for text, writers in called.items()
         }
-        return Window(path, own, int(path.times[-1]) > high - LONGEST_GAP_NS)
+        return Window(path, by_run, int(path.times[-1]) > high - LONGEST_GAP_NS)
 
 
 def overlapping_pairs(extents: Sequence[Extent]) -> Iterator[tuple[Extent, Extent]]:
     """Yield pairs of time ranges of two runs that overlap, sorted by their start."""
     longest: Extent | None = None
-    for extent in sorted(extents, key=lambda each: (each.low, each.high)):
+    for extent in sorted(extents, key=lambda e: (e.low, e.high)):
         if longest is not None and extent.low <= longest.high and extent.writer != longest.writer:
             yield longest, extent
         if longest is None or extent.high > longest.high:

@@ -55,7 +55,7 @@ class RobotTrack:
 
 def find_tracks(
     places: Whereabouts,
-    asked: tuple[str, str],
+    frame_and_robot: tuple[str, str],
     nodes: Sequence[str] | None,
     writers: Writers,
     window: tuple[int, int, int],
@@ -64,7 +64,7 @@ def find_tracks(
     """Return the tracks of all robots that have poses.
 
     Args:
-        asked: Frame and robot, as in a Disk.
+        frame_and_robot: Frame and robot, as in a Disk.
         nodes: nodeIDs; None = all nodes.
         writers: Writer ids of the runs. If they recorded poses of a node, only these are used;
             None = all runs.
@@ -73,7 +73,7 @@ def find_tracks(
     """
     low, high, most = window
     tracks = []
-    for robot in places.robots(*asked, nodes, writers):
+    for robot in places.robots(*frame_and_robot, nodes, writers):
         extents = places.extents(robot, low, high)
         spans = list(merge_ranges(sorted((max(low, e[2]), min(high, e[3])) for e in extents)))
         path = _path(robot, spans, watch)

@@ -77,28 +77,28 @@ class RegionStays:
             node: nodeID of the only robot to check; None = all robots together.
             watch: Called repeatedly while poses are read, even if there are no stays; may raise.
         """
-        asked = [w for name, w in self._windows.items() if node in (None, name)]
+        windows = [w for name, w in self._windows.items() if node in (None, name)]
         low, high = max(0, low), min(high, MAX_NS)
-        if any(list(w.still.stays(self._region)) for w in asked if w.still is not None):
+        if any(list(w.still.stays(self._region)) for w in windows if w.still is not None):
             return iter([(low, high)])
-        moving = [w for w in asked if w.still is None]
-        return _touching(self._found(moving, low, high, reverse, watch))
+        moving = [w for w in windows if w.still is None]
+        return _touching(self._find_stays(moving, low, high, reverse, watch))
 
-    def _found(
+    def _find_stays(
         self,
-        asked: Sequence[Windows],
+        moving: Sequence[Windows],
         low: int,
         high: int,
         reverse: bool,
         watch: Callable[[], None],
     ) -> Iterator[NsRange]:
-        candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in asked]
+        candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in moving]
         ranges = merge_ranges(sorted(span for spans in candidates for span in spans))
         for number in _numbers(list(ranges), reverse):
             watch()
             start, end = number * WINDOW_NS, (number + 1) * WINDOW_NS - 1
             stays: list[NsRange] = []
-            for windows, spans in zip(asked, candidates):
+            for windows, spans in zip(moving, candidates):
                 if _meets(spans, start, end):
                     for path in self._window(windows, start).paths:
                         stays += path.stays(self._region)
@@ -162,12 +162,12 @@ class Whereabouts:
         """
         answers: dict[tuple[Disk, str | None, Writers], RegionStays]
         answers = getattr(self._local, "answers", {})
-        asked = disk, node, writers
-        if asked not in answers:
+        key = disk, node, writers
+        if key not in answers:
             region = DiskRegion(disk.x, disk.y, disk.radius)
             nodes = None if node is None else [node]
-            answers[asked] = self.within(region, disk.frame, disk.robot, nodes, writers)
-        return answers[asked]
+            answers[key] = self.within(region, disk.frame, disk.robot, nodes, writers)
+        return answers[key]
 
     def within(
         self,
@@ -187,7 +187,7 @@ class Whereabouts:
                 None = all runs.
         """
         robots = self.robots(frame, robot, nodes, writers)
-        windows = {each.node: Windows(each, self._stored) for each in robots}
+        windows = {source.node: Windows(source, self._stored) for source in robots}
         return RegionStays(region, windows, self._coverage)
 
     def robots(
@@ -206,5 +206,5 @@ class Whereabouts:
 
     def extents(self, robot: Robot, low: int, high: int) -> Sequence[Extent]:
         """Return the time ranges of a robot's recorded poses, by run, that touch [low, high]."""
-        found = self._stored.extents(robot.topic, robot.node, low, high)
-        return [e for e in found if robot.writers is None or e.writer in robot.writers]
+        extents = self._stored.extents(robot.topic, robot.node, low, high)
+        return [e for e in extents if robot.writers is None or e.writer in robot.writers]

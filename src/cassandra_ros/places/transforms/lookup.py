@@ -46,17 +46,17 @@ def lookup_transform(
     """
     frames = (_frame(target), _frame(source))
     check_nodes(node)
-    asked = to_ns(time)
+    ns = to_ns(time)
     stored: list[TransformTopic | None] = []
     tables: list[Table] = []
     for name in (tf, tf_static):
         try:
-            found = find(name)
+            tf_topic = find(name)
         except TopicNotFound:
             stored.append(None)
             continue
-        stored.append(TransformTopic(found, node, run))
-        tables += found.tables
+        stored.append(TransformTopic(tf_topic, node, run))
+        tables += tf_topic.tables
     if stored == [None, None]:
         find(tf)  # raises TopicNotFound with similar names
     topics = [
@@ -70,7 +70,7 @@ def lookup_transform(
         # them.
         recorded.read(fixed, 0, MAX_NS, reverse=True)
     lookup = _Lookup(moving, fixed, LookupErrors(frames, topics, node, time, tables))
-    return lookup.at(asked) if asked else lookup.newest()
+    return lookup.at(ns) if ns else lookup.newest()
 
 
 def _frame(name: object) -> str:
@@ -101,7 +101,7 @@ class _Lookup:
         path = read_transforms(
             tree, self.moving, self.failure.frames, time if centre is None else centre
         )
-        return self._computed(tree, path, time)
+        return self._compute(tree, path, time)
 
     def newest(self) -> TransformStamped:
         """Return the transform at the newest time that all frames on the path have, as tf2 does."""
@@ -112,11 +112,11 @@ class _Lookup:
         if not moving and path == []:
             moving = tree.moving([frames[0]])
         if not moving:
-            return self._computed(tree, path, None)
+            return self._compute(tree, path, None)
         oldest = min(moving)
         return self.at(oldest.stamp, oldest.key)
 
-    def _computed(
+    def _compute(
         self, tree: FrameTree, path: Sequence[str] | None, time: int | None
     ) -> TransformStamped:
         fixed = tree.fixed.all()
@@ -124,7 +124,7 @@ class _Lookup:
         if path:
             # With the other frames, tf2 would go up to the root and back, which adds rounding
             # errors.
-            moving, fixed = ([s for s in part if s.child in path] for part in (moving, fixed))
+            moving, fixed = ([s for s in samples if s.child in path] for samples in (moving, fixed))
         else:
             # tf2's errors depend on which frames it knows.
             frames = tree.frames().intersection(self.failure.frames)
@@ -149,7 +149,7 @@ class LookupErrors:
     topics: Sequence[str]
     """Names of the topics of moving and fixed transforms, as error texts show them."""
     node: str | None
-    asked: object
+    user_time: object
     """Time as the user gave it."""
     tables: Sequence[Table]
     """Tables of the topics."""
@@ -161,13 +161,13 @@ class LookupErrors:
         if absent:
             return self._absent(absent[0], sorted(frames), tree)
         target, source = self.frames
-        at = "" if time is None else f" at {_shown(time)}"
+        at = "" if time is None else f" at {_time_text(time)}"
         text = f"there is no transform from {source} to {target}{at}: "
         loop = tree.loop(source) or tree.loop(target)
         if kind is LookupException and loop:
             return text + f"the frames {' -> '.join(loop)} form a loop in {self._where()}"
         text += self._gap(tree) or self._apart(tree)
-        if type(self.asked) is int and 0 < self.asked < SECONDS_BELOW:
+        if type(self.user_time) is int and 0 < self.user_time < SECONDS_BELOW:
             text += "; integers are nanoseconds; did you mean seconds (a float)?"
         return text
 
@@ -182,7 +182,7 @@ class LookupErrors:
             table = next(iter(self.tables), None)  # a topic without a type has none
             unknown = table is not None and self.node and table.runs.unknown_robot(self.node)
             hint = unknown or "there is no transform at all"
-        return f"frame {frame!r} is not in {self._where()}{_ignored(frame, tree)}; {hint}"
+        return f"frame {frame!r} is not in {self._where()}{_skip_hint(frame, tree)}; {hint}"
 
     def _gap(self, tree: FrameTree) -> str:
         """Return which frame has no transforms around the time; '' if all have."""
@@ -198,8 +198,8 @@ class LookupErrors:
             which = "last" if before else "first"
             return (
                 f"the {which} transform of frame {frame} on {self.topics[0]}{self._whose()} "
-                f"is at {_shown(sample.stamp)}, {away:.9g} s {'before' if before else 'after'}"
-                f"{_ignored(frame, tree)}; ask for a time within what was recorded, or for the "
+                f"is at {_time_text(sample.stamp)}, {away:.9g} s {'before' if before else 'after'}"
+                f"{_skip_hint(frame, tree)}; ask for a time within what was recorded, or for the "
                 "time 0, which means the newest"
             )
         return ""
@@ -208,7 +208,7 @@ class LookupErrors:
         target, source = (tree.climb(frame) for frame in self.frames)
         tops = [f"{way[0]} hangs on {way[-1]}" for way in (source, target) if len(way) > 1]
         how = f": {', '.join(tops)}" if tops else ""
-        left_out = "".join(_ignored(way[-1], tree) for way in (source, target))
+        left_out = "".join(_skip_hint(way[-1], tree) for way in (source, target))
         return f"nothing in {self._where()} connects them{how}{left_out}"
 
     def _where(self) -> str:
@@ -218,10 +218,10 @@ class LookupErrors:
         return f" of node {self.node}" if self.node else ""
 
 
-def _shown(ns: int) -> str:
+def _time_text(ns: int) -> str:
     return f"{iso_time(ns)} ({ns} ns)"
 
 
-def _ignored(frame: str, tree: FrameTree) -> str:
+def _skip_hint(frame: str, tree: FrameTree) -> str:
     reason = tree.nearest.ignored.get(frame) or tree.fixed.ignored.get(frame)
     return f" (some of frame {frame} are left out, as tf2 does: {reason})" if reason else ""

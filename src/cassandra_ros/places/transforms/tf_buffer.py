@@ -67,7 +67,7 @@ def look_up(
     for sample, distance in zip(moving, distances):
         longest[sample.child] = max(longest[sample.child], abs(distance))
     for sample, distance in zip(moving, distances):
-        near = _BASE_NS + _shortened(distance, longest[sample.child])
+        near = _BASE_NS + _shorten(distance, longest[sample.child])
         core.set_transform(_message(sample, near), _AUTHORITY)
     for sample in fixed:
         core.set_transform_static(_message(sample, _BASE_NS), _AUTHORITY)
@@ -78,7 +78,7 @@ def look_up(
         raise kind(explain(kind)) from exc
 
 
-def _shortened(distance: int, longest: int) -> int:
+def _shorten(distance: int, longest: int) -> int:
     """Scale a distance so that the longest one of its frame is within REACH_NS."""
     if longest <= REACH_NS or not distance:
         return distance

@@ -81,10 +81,10 @@ class NearestTransforms:
         Of equal stamps the first is.
         """
         if self.time is None or stamp <= self.time:
-            known = self.before.get(child)
-            return known is None or (stamp, known.order) > (known.stamp, order)
-        known = self.after.get(child)
-        return known is None or (stamp, order) < (known.stamp, known.order)
+            sample = self.before.get(child)
+            return sample is None or (stamp, sample.order) > (sample.stamp, order)
+        sample = self.after.get(child)
+        return sample is None or (stamp, order) < (sample.stamp, sample.order)
 
     def add(self, sample: Sample) -> bool:
         """Add a wanted transform, unless tf2 would reject it; return whether it was added."""
@@ -118,8 +118,8 @@ class FixedTransforms(NearestTransforms):
 
     def wants(self, child: str, stamp: int, order: Order) -> bool:
         """Return whether a transform arrived later than the known one."""
-        known = self.before.get(child)
-        return known is None or order > known.order
+        sample = self.before.get(child)
+        return sample is None or order > sample.order
 
 
 @dataclass(frozen=True)
