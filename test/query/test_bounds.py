@@ -14,7 +14,7 @@ from std_msgs.msg import Int64
 from suites import search
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.query.plan.bounds import _united
+from cassandra_ros.query.plan.bounds import _unite
 from cassandra_ros.read import Read, Whose
 from cassandra_ros.topics.query_result import Condition
 
@@ -93,7 +93,7 @@ def test_time_ranges_of_several_conditions_are_united(reverse):
             ends = sorted(numbers.sample(range(30), 2 * numbers.randrange(4)))
             every.append(list(zip(ends[::2], ends[1::2])))
         asked = [lambda low, high, back, s=spans: iter(s[::-1] if back else s) for spans in every]
-        found = list(_united(asked)(0, 30, reverse))
+        found = list(_unite(asked)(0, 30, reverse))
         inside = {t for spans in every for low, high in spans for t in range(low, high + 1)}
         assert {t for low, high in found for t in range(low, high + 1)} == inside
         found = found[::-1] if reverse else found

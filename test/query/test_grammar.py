@@ -36,7 +36,7 @@ def answer(parser, text):
 def test_the_kept_tables_are_those_of_the_grammar():
     kept = json.loads(module._TABLES.read_text("ascii"))
     assert kept["origin"] == module._origin(), "the grammar or lark has changed: make grammar"
-    computed = module._computed()
+    computed = module._compute_parser()
     for text in TEXTS:
         assert answer(module.grammar(), text) == answer(computed, text)
 
@@ -46,9 +46,9 @@ def elsewhere(tmp_path, monkeypatch):
     """A file of its own for the tables, with the way in which the parser was made."""
     made = []
     monkeypatch.setattr(module, "_TABLES", tmp_path / "tables.json")
-    kept, computed = Lark.load, module._computed
+    kept, computed = Lark.load, module._compute_parser
     monkeypatch.setattr(Lark, "load", lambda f: made.append("kept") or kept(f))
-    monkeypatch.setattr(module, "_computed", lambda: made.append("computed") or computed())
+    monkeypatch.setattr(module, "_compute_parser", lambda: made.append("computed") or computed())
     module.grammar.cache_clear()
     yield made
     module.grammar.cache_clear()
@@ -57,7 +57,7 @@ def elsewhere(tmp_path, monkeypatch):
 def test_written_tables_are_used(elsewhere):
     module.write_tables()
     del elsewhere[:]
-    assert answer(module.grammar(), TEXTS[1]) == answer(module._computed(), TEXTS[1])
+    assert answer(module.grammar(), TEXTS[1]) == answer(module._compute_parser(), TEXTS[1])
     assert elsewhere[0] == "kept"
 
 

@@ -84,16 +84,16 @@ class ArrowSchema:
         self.fields = {table.name: self._fields(table, wanted) for table in tables}
         key = self.arrow.string() if self.named else self.arrow.timestamp("ns")
         kinds = (key, self.arrow.string(), self.arrow.string())
-        own = [
+        own_fields = [
             self.arrow.field(name, kind, metadata={"unit": UNITS["time"]} if name == "KEY" else {})
             for name, kind in zip(OWN_COLUMNS, kinds)
             if wanted is None or name.lower() in wanted
         ]
         every = [self._of(fields) for fields in self.fields.values()]
         united = list(unite_schemas(self.arrow, every)) if every else []
-        self.own = [field.name for field in own]
+        self.own = [field.name for field in own_fields]
         self.empty = not any(self.fields.values())
-        self.schema = self.arrow.schema([*own, *united])
+        self.schema = self.arrow.schema([*own_fields, *united])
         self._row_columns: dict[str, RowColumns | None] = {}
         self._reads_few: dict[str, bool] = {}
         if names is not None:
@@ -167,7 +167,7 @@ class _BatchMaker:
 
     def _of_messages(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
         wires: list[bytes | None] = []
-        found: list[Row] = []
+        batch: list[Row] = []
         for row in rows:
             try:
                 wires.append(None if self._schema.empty else row.wire)
@@ -175,9 +175,9 @@ class _BatchMaker:
                 continue
             except CorruptMessage:
                 wires.append(None)
-            found.append(row)
-        if found:
-            yield self._make(found[0].table, self._places(found), group_by_size(wires))
+            batch.append(row)
+        if batch:
+            yield self._make(batch[0].table, self._places(batch), group_by_size(wires))
 
     def _places(self, rows: Sequence[Any]) -> _Places:
         owned = groupby(rows, key=lambda row: (row.node, writer_of(row.seq)))
@@ -204,10 +204,10 @@ class _BatchMaker:
         arrow, schema, count = self._arrow, self._schema.schema, len(places.keys)
         fields = self._schema.of_table(table)
         columns = {field.name.lower(): array for field, array in zip(fields, made)}
-        own = {name: self._own(name, places) for name in self._schema.own}
+        heads = {name: self._own(name, places) for name in self._schema.own}
         arrays = []
         for n, field in enumerate(schema):
-            array = own.get(field.name) if n < len(own) else columns.get(field.name.lower())
+            array = heads.get(field.name) if n < len(heads) else columns.get(field.name.lower())
             if array is None:  # the definition of the table has no such field
                 array = arrow.nulls(count, field.type)
             arrays.append(adapt(arrow, array, field.type))
@@ -243,12 +243,12 @@ def read_batches(
         StoreUnavailable: The topic was converted or removed during the read.
     """
     maker = _BatchMaker(schema)
-    found = None if blocks is None or schema.named else blocks()
-    if found is None:
+    block_stream = None if blocks is None or schema.named else blocks()
+    if block_stream is None:
         yield from _of_rows(maker, rows(partial(_columns, schema)), watch)
         return
     try:
-        yield from _of_blocks(maker, found, watch)
+        yield from _of_blocks(maker, block_stream, watch)
     except TopicNotFound as exc:
         raise StoreUnavailable(
             f"topic {topic} was converted or removed while it was read: ask again"

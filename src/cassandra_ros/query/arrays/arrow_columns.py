@@ -40,16 +40,16 @@ _MAX_LENGTHS = 2**31
 _PAIRS = {"time": np.dtype("<u4"), "duration": np.dtype("<i4")}
 
 
-class _Placed(NamedTuple):
+class _StackSlots(NamedTuple):
     """Messages of one layout, and the slots of a field's values in the array that is made."""
 
     stack: Stack
     slots: Int64Array
     """(messages, values of the field in a message)."""
 
-    def inside(self, counts: Int64Array, offsets: Int64Array) -> _Placed:
+    def inside(self, counts: Int64Array, offsets: Int64Array) -> _StackSlots:
         """Return the slots of the elements of arrays, of which a message has some."""
-        return _Placed(self.stack, _spread(offsets[self.slots], counts))
+        return _StackSlots(self.stack, _spread(offsets[self.slots], counts))
 
 
 class MessageColumns(NamedTuple):
@@ -76,16 +76,16 @@ def make_columns(
         groups: The messages, by size.
         count: Number of messages, those in no group included.
     """
-    placed = [_Placed(each, each.members[:, None]) for each in _stacks(definition, groups)]
+    stacks = [_StackSlots(stack, stack.members[:, None]) for stack in _stacks(definition, groups)]
     covered = np.zeros(count, bool)
-    for each in placed:
-        covered[each.stack.members] = True
+    for stack_slots in stacks:
+        covered[stack_slots.stack.members] = True
     maker = _ArrayMaker(arrow)
     if covered.all():
         validity = None
     else:
         validity = arrow.py_buffer(np.packbits(covered, bitorder="little"))
-    arrays = [maker.make(field, placed, count, validity) for field in fields]
+    arrays = [maker.make(field, stacks, count, validity) for field in fields]
     return MessageColumns(arrays, np.flatnonzero(~covered))
 
 
@@ -124,25 +124,25 @@ class _ArrayMaker:
         self._arrow = arrow
 
     def make(
-        self, field: ArrowField, placed: Sequence[_Placed], size: int, validity: Any = None
+        self, field: ArrowField, stacks: Sequence[_StackSlots], size: int, validity: Any = None
     ) -> pyarrow.Array:
         """Make the array of a field with ``size`` values."""
         if field.field.is_array:
-            return self._list(field, placed, size, validity)
-        return self._values(field, placed, size, validity)
+            return self._list(field, stacks, size, validity)
+        return self._values(field, stacks, size, validity)
 
     def _values(
-        self, field: ArrowField, placed: Sequence[_Placed], size: int, validity: Any = None
+        self, field: ArrowField, stacks: Sequence[_StackSlots], size: int, validity: Any = None
     ) -> pyarrow.Array:
         """Make the array of a field's values, of an array of its elements."""
         kind = field.value_type(self._arrow)
         if field.children:
-            children = [self.make(child, placed, size) for child in field.children]
+            children = [self.make(child, stacks, size) for child in field.children]
             return self._arrow.Array.from_buffers(kind, size, [validity], children=children)
         base = field.field.base
         if base == "string":
-            return self._texts(field, placed, size, validity)
-        return self._numbers(kind, _numbers(field, placed, size), validity)
+            return self._texts(field, stacks, size, validity)
+        return self._numbers(kind, _numbers(field, stacks, size), validity)
 
     def _numbers(self, kind: Any, values: AnyArray, validity: Any = None) -> pyarrow.Array:
         size = len(values)
@@ -152,21 +152,21 @@ class _ArrayMaker:
         return self._arrow.Array.from_buffers(kind, size, [validity, buffer])
 
     def _list(
-        self, field: ArrowField, placed: Sequence[_Placed], size: int, validity: Any
+        self, field: ArrowField, stacks: Sequence[_StackSlots], size: int, validity: Any
     ) -> pyarrow.Array:
-        counts = [_counts(field, each) for each in placed]
-        offsets = _offsets(placed, counts, size)
+        counts = [_counts(field, stack_slots) for stack_slots in stacks]
+        offsets = _offsets(stacks, counts, size)
         ends = self._offset_buffer(offsets)
         total = int(offsets[-1])
         kind = field.type(self._arrow)
         base = field.field.base
         if not field.field.is_primitive or base == "string":
-            inner = [each.inside(n, offsets) for each, n in zip(placed, counts)]
+            inner = [stack_slots.inside(n, offsets) for stack_slots, n in zip(stacks, counts)]
             values = self._values(field, inner, total)
         else:
             dtype = np.dtype(np.int64) if base in _PAIRS else np.dtype(base)
-            runs = [_array_values(each.stack, field) for each in placed]
-            flat = _filled(total, dtype, placed, counts, offsets, runs)
+            runs = [_array_values(stack_slots.stack, field) for stack_slots in stacks]
+            flat = _fill_slots(total, dtype, stacks, counts, offsets, runs)
             if field.is_bytes:
                 buffers = [validity, ends, self._arrow.py_buffer(flat)]
                 return self._arrow.Array.from_buffers(kind, size, buffers)
@@ -174,15 +174,15 @@ class _ArrayMaker:
         return self._arrow.Array.from_buffers(kind, size, [validity, ends], children=[values])
 
     def _texts(
-        self, field: ArrowField, placed: Sequence[_Placed], size: int, validity: Any
+        self, field: ArrowField, stacks: Sequence[_StackSlots], size: int, validity: Any
     ) -> pyarrow.Array:
-        ranges = [each.stack.layout.texts.get(field.path, []) for each in placed]
-        counts = [np.array([text.size for text in each], np.int64) for each in ranges]
-        offsets = _offsets(placed, counts, size)
-        runs = [_text_bytes(each.stack, field.path) for each in placed]
-        data = _filled(int(offsets[-1]), np.dtype(np.uint8), placed, counts, offsets, runs)
+        ranges = [stack_slots.stack.layout.texts.get(field.path, []) for stack_slots in stacks]
+        counts = [np.array([text.size for text in texts], np.int64) for texts in ranges]
+        offsets = _offsets(stacks, counts, size)
+        runs = [_text_bytes(stack_slots.stack, field.path) for stack_slots in stacks]
+        data = _fill_slots(int(offsets[-1]), np.dtype(np.uint8), stacks, counts, offsets, runs)
         if not _is_utf8(data, offsets):
-            data, offsets = _escaped(data, offsets)
+            data, offsets = _escape(data, offsets)
         buffers = [validity, self._offset_buffer(offsets), self._arrow.py_buffer(data)]
         return self._arrow.Array.from_buffers(self._arrow.string(), size, buffers)
 
@@ -190,48 +190,48 @@ class _ArrayMaker:
         return self._arrow.py_buffer(offsets.astype(np.int32))
 
 
-def _numbers(field: ArrowField, placed: Sequence[_Placed], size: int) -> AnyArray:
+def _numbers(field: ArrowField, stacks: Sequence[_StackSlots], size: int) -> AnyArray:
     """Return the values of a field of numbers."""
     base = field.field.base
     dtype = np.dtype(np.int64) if base in _PAIRS else np.dtype(base)
-    found: AnyArray = np.zeros(size, dtype)
-    for each in placed:
-        numbers = each.stack.numbers(field.path, base)
+    values: AnyArray = np.zeros(size, dtype)
+    for stack_slots in stacks:
+        numbers = stack_slots.stack.numbers(field.path, base)
         if numbers.size == size:  # the slots of all values are in order
             return numbers.T.reshape(-1).astype(dtype, copy=False)
-        _put(found, each.slots, numbers.T)
-    return found
+        _put(values, stack_slots.slots, numbers.T)
+    return values
 
 
-def _put(found: AnyArray, slots: Int64Array, values: AnyArray) -> None:
+def _put(out: AnyArray, slots: Int64Array, values: AnyArray) -> None:
     """Set values at their slots, which ascend along the rows: (messages, values of a message)."""
     if not slots.size:
         return
     first, last = int(slots[0, 0]), int(slots[-1, -1])
     if last - first + 1 == slots.size:
-        found[first : last + 1] = values.reshape(-1)
+        out[first : last + 1] = values.reshape(-1)
     else:
-        found[slots] = values
+        out[slots] = values
 
 
-def _counts(field: ArrowField, placed: _Placed) -> Int64Array:
+def _counts(field: ArrowField, stack_slots: _StackSlots) -> Int64Array:
     """Return the number of elements of each array of a field in a message."""
-    layout, slots = placed.stack.layout, placed.slots.shape[1]
+    layout, slots = stack_slots.stack.layout, stack_slots.slots.shape[1]
     if field.field.length is not None:
         return np.full(slots, field.field.length, np.int64)
     if field.field.is_primitive and field.field.base != "string":
         parts = layout.arrays.get(field.path, [])
-        return np.repeat([part.length for part in parts], [len(part.ats) for part in parts]).astype(
-            np.int64
-        )
+        return np.repeat(
+            [array.length for array in parts], [len(array.ats) for array in parts]
+        ).astype(np.int64)
     counts = layout.counts if isinstance(layout, Layout) else {}
     return np.array(counts.get(field.path, []), np.int64)
 
 
-def _offsets(placed: Sequence[_Placed], counts: Sequence[Int64Array], size: int) -> Int64Array:
+def _offsets(stacks: Sequence[_StackSlots], counts: Sequence[Int64Array], size: int) -> Int64Array:
     lengths = np.zeros(size, np.int64)
-    for each, n in zip(placed, counts):
-        lengths[each.slots] = n
+    for stack_slots, n in zip(stacks, counts):
+        lengths[stack_slots.slots] = n
     return np.concatenate([np.zeros(1, np.int64), np.cumsum(lengths)])
 
 
@@ -242,10 +242,10 @@ def _spread(starts: Int64Array, counts: Int64Array) -> Int64Array:
     return slots
 
 
-def _filled(
+def _fill_slots(
     total: int,
     dtype: Any,
-    placed: Sequence[_Placed],
+    stacks: Sequence[_StackSlots],
     counts: Sequence[Int64Array],
     offsets: Int64Array,
     runs: Iterable[AnyArray],
@@ -255,19 +255,19 @@ def _filled(
     Args:
         runs: All elements of each message of a stack: (messages, elements).
     """
-    found: AnyArray = np.zeros(total, dtype)
-    for each, n, values in zip(placed, counts, runs):
+    elements: AnyArray = np.zeros(total, dtype)
+    for stack_slots, n, values in zip(stacks, counts, runs):
         if values.size == total:
             return values.reshape(-1).astype(dtype, copy=False)
         if not values.size:
             continue
-        starts = offsets[each.slots]
+        starts = offsets[stack_slots.slots]
         if len(n) == 1 and values.shape[1] >= LONG_RUN:
             for start, row in zip(starts[:, 0].tolist(), values):
-                found[start : start + len(row)] = row
+                elements[start : start + len(row)] = row
         else:
-            found[_spread(starts, n)] = values
-    return found
+            elements[_spread(starts, n)] = values
+    return elements
 
 
 def _array_values(stack: Stack, field: ArrowField) -> AnyArray:
@@ -303,7 +303,7 @@ def _is_utf8(data: AnyArray, offsets: Int64Array) -> bool:
     return not ((data[begins[begins < len(data)]] & 0xC0) == 0x80).any()
 
 
-def _escaped(data: AnyArray, offsets: Int64Array) -> tuple[AnyArray, Int64Array]:
+def _escape(data: AnyArray, offsets: Int64Array) -> tuple[AnyArray, Int64Array]:
     r"""Return texts with the bytes that are not UTF-8 escaped, as \xff."""
     raw = data.tobytes()
     texts = [

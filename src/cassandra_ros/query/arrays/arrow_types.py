@@ -44,16 +44,16 @@ def load_arrow(purpose: str) -> Any:
 
 def wanted_columns(paths: Iterable[Sequence[str]]) -> Wanted:
     """Return the columns at some paths, each the names from a column down to a field in it."""
-    found: Wanted = {}
+    tree: Wanted = {}
     whole: list[Wanted] = []
     for path in paths:
-        inside = found
+        inside = tree
         for name in path:
             inside = inside.setdefault(name.lower(), {})
         whole.append(inside)
-    for each in whole:  # a name of a whole message includes all names inside it
-        each.clear()
-    return found
+    for subtree in whole:  # a name of a whole message includes all names inside it
+        subtree.clear()
+    return tree
 
 
 def check_columns(schema: pyarrow.Schema, names: Sequence[str]) -> None:
@@ -64,12 +64,12 @@ def check_columns(schema: pyarrow.Schema, names: Sequence[str]) -> None:
     """
     for name in names:
         fields: Any = schema
-        for part in str(name).split("."):
-            known = {field.name.lower(): field for field in fields}
-            if part.lower() not in known:
+        for word in str(name).split("."):
+            by_name = {field.name.lower(): field for field in fields}
+            if word.lower() not in by_name:
                 text = f"there is no column {name!r:.80}"
-                raise InvalidName(text + nearest(part, [field.name for field in fields]))
-            fields = struct_of(known[part.lower()].type)
+                raise InvalidName(text + nearest(word, [field.name for field in fields]))
+            fields = struct_of(by_name[word.lower()].type)
 
 
 def struct_of(kind: Any) -> Sequence[Any]:
@@ -143,19 +143,19 @@ def fields_of(
     if definition is None:
         return ()
     every = _fields(definition.type, definition.specs, "", names or ColumnNames())
-    return tuple(every if wanted is None else _pruned(every, wanted))
+    return tuple(every if wanted is None else _prune(every, wanted))
 
 
 def _fields(msg_type: str, specs: Specs, prefix: str, names: ColumnNames) -> list[ArrowField]:
-    found: list[ArrowField] = []
+    columns: list[ArrowField] = []
     for field in specs[msg_type].fields:
         path, children = prefix + field.name, []
         if not field.is_primitive:
             children = _fields(field.type, specs, path + ".", names)
             if not children:
                 continue
-        found.append(ArrowField(names.of(prefix, field.name), path, field, tuple(children)))
-    return found
+        columns.append(ArrowField(names.of(prefix, field.name), path, field, tuple(children)))
+    return columns
 
 
 def count_leaves(fields: Iterable[ArrowField]) -> int:
@@ -171,12 +171,12 @@ def _free_name(name: str, taken: set[str]) -> str:
     return free
 
 
-def _pruned(fields: Sequence[ArrowField], wanted: Wanted) -> Iterator[ArrowField]:
+def _prune(fields: Sequence[ArrowField], wanted: Wanted) -> Iterator[ArrowField]:
     for field in fields:
         inside = wanted.get(field.name.lower())
         if inside is None:
             continue
-        children = tuple(_pruned(field.children, inside)) if inside else ()
+        children = tuple(_prune(field.children, inside)) if inside else ()
         # Without one of the named fields the whole message is made: the names may mean another.
         yield ArrowField(field.name, field.path, field.field, children or field.children)
 

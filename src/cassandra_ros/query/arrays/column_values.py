@@ -63,7 +63,7 @@ def compile_convert(
     listed = column.is_list and not inside
     convert: Convert
     if listed and ref.index is not None:
-        return partial(_listed, ref.index)
+        return partial(_list_element, ref.index)
     if column.cql_type in _FIXED_LISTS:
         convert = partial(_elements, column, kind)
     else:
@@ -210,15 +210,15 @@ def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> ColumnArray:
     return _arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
 
 
-def _listed(index: int, raws: Raws) -> ColumnArray:
+def _list_element(index: int, raws: Raws) -> ColumnArray:
     """Return the element with this index of each string[]."""
     lists = [[] if raw is None else split_list(raw) for raw in raws]
-    return _texts([found[index] if index < len(found) else None for found in lists])
+    return _texts([elements[index] if index < len(elements) else None for elements in lists])
 
 
-def _part(convert: Convert, part: str, raws: Raws) -> ColumnArray:
+def _part(convert: Convert, time_part: str, raws: Raws) -> ColumnArray:
     values, missing = convert(raws)
-    return ColumnArray(values // SECOND_NS if part == "secs" else values % SECOND_NS, missing)
+    return ColumnArray(values // SECOND_NS if time_part == "secs" else values % SECOND_NS, missing)
 
 
 def objects_of(cells: Sequence[object]) -> AnyArray:
@@ -267,32 +267,32 @@ def empty_values(kind: ArrayType, count: int) -> ColumnArray:
     return ColumnArray(values, np.ones(count, bool))
 
 
-def join_values(parts: Sequence[ColumnArray], kind: ArrayType) -> ColumnArray:
+def join_values(arrays: Sequence[ColumnArray], kind: ArrayType) -> ColumnArray:
     """Concatenate values of one type."""
-    if not parts:
+    if not arrays:
         return empty_values(kind, 0)
-    values = np.concatenate([part.values for part in parts])
-    if not any(part.missing.any() for part in parts):
+    values = np.concatenate([array.values for array in arrays])
+    if not any(array.missing.any() for array in arrays):
         return ColumnArray(values, none_missing(len(values)))
-    return ColumnArray(values, np.concatenate([part.missing for part in parts]))
+    return ColumnArray(values, np.concatenate([array.missing for array in arrays]))
 
 
-def cast_values(found: ColumnArray, own: ArrayType, kind: ArrayType) -> ColumnArray:
+def cast_values(array: ColumnArray, table_kind: ArrayType, kind: ArrayType) -> ColumnArray:
     """Convert the values of one table from their own type to the type common to all tables."""
-    values, missing = found
-    if own == kind or own.depth > 1:
-        return found
-    if kind.depth == 1 and not kind.cells or own.depth == kind.depth == 0:
+    values, missing = array
+    if table_kind == kind or table_kind.depth > 1:
+        return array
+    if kind.depth == 1 and not kind.cells or table_kind.depth == kind.depth == 0:
         values = values.astype(kind.dtype)
         if values.dtype.kind == "O":
             values[missing] = None
         return ColumnArray(values, missing)
-    if own.depth == 0:
+    if table_kind.depth == 0:
         return ColumnArray(
             rows_of(values.astype(object), missing), missing
         )  # other tables have arrays
     cells = rows_of(values, missing)
-    dtype = own.dtype if kind.depth == 0 else kind.dtype
+    dtype = table_kind.dtype if kind.depth == 0 else kind.dtype
     return ColumnArray(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
 
 

@@ -66,8 +66,8 @@ class Grid(NamedTuple):
 
         Outside the grid it is below 0 or at least ``pixels``.
         """
-        found: AnyArray = (times >> self.shift) - self.first
-        return found
+        pixels: AnyArray = (times >> self.shift) - self.first
+        return pixels
 
 
 class Points(NamedTuple):
@@ -177,10 +177,10 @@ class Envelope:
 
     def widened(self, grid: Grid) -> Envelope:
         """Return this envelope in a grid around its own, with pixels that are at least as long."""
-        found, held = Envelope(grid, len(self._low)), np.flatnonzero(self._last >= 0)
-        low, high, rows = self._low[:, held], self._high[:, held], self._rows[held]
-        found.add_spans(self._first[held], self._last[held], low, high, rows)
-        return found
+        envelope, pixels = Envelope(grid, len(self._low)), np.flatnonzero(self._last >= 0)
+        low, high, rows = self._low[:, pixels], self._high[:, pixels], self._rows[pixels]
+        envelope.add_spans(self._first[pixels], self._last[pixels], low, high, rows)
+        return envelope
 
     def points(self) -> Points:
         """Return the pixels that contain messages, in time order."""

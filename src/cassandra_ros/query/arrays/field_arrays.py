@@ -95,8 +95,8 @@ def gather_fields(
         tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
 
     def columns(table: Table) -> Sequence[str]:
-        known = tables.get(table.name)
-        return table.columns if known is None else known.needed
+        table_values = tables.get(table.name)
+        return table.columns if table_values is None else table_values.needed
 
     number, latest = 0, ""
     for row in read(columns):
@@ -136,10 +136,10 @@ def as_arrays(fields: dict[str, FieldArray]) -> dict[str, AnyArray]:
 
     ``fields`` is emptied, which frees each column after its conversion: only one exists twice.
     """
-    return {name: _masked(*fields.pop(name)) for name in list(fields)}
+    return {name: _mask(*fields.pop(name)) for name in list(fields)}
 
 
-def _masked(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
+def _mask(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
     many = values.ndim > 1
     if kind.depth == 1 and not many and not missing.any():
         # Stacked only here, where all messages are known: the shape must not depend on one batch.
@@ -200,15 +200,15 @@ def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, Fie
     order = _order_of(places) if places else None
     if len(filled) > 1 and not places:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
-    found = {}
+    arrays = {}
     for name, kind in dict(unite_columns([table.groups for table in tables])).items():
         values, missing = join_values([table.take(name, kind) for table in filled], kind)
         if order is not None:
             values, missing = values[order], missing[order]
         if kind.kind == INTEGER:
             kind, values = _as_int64(values, missing)
-        found[name] = FieldArray(kind, values, missing)
-    return found
+        arrays[name] = FieldArray(kind, values, missing)
+    return arrays
 
 
 def _as_int64(values: AnyArray, missing: AnyArray) -> tuple[ArrayType, AnyArray]:

@@ -106,20 +106,20 @@ class StackedField(NamedTuple):
             return False
         return column.kind in (*_NUMBERS, "text", "array")
 
-    def put(self, stack: Stack, found: ColumnArray) -> None:
+    def put(self, stack: Stack, array: ColumnArray) -> None:
         """Set the values of the messages of a layout at their indices."""
         if self.column.kind == "text":
-            found.values[stack.members] = _texts(stack, self.column.name)
+            array.values[stack.members] = _texts(stack, self.column.name)
         else:
             numbers = self._numbers(stack)
             if numbers is None:
                 return  # the array is shorter than the index
-            if found.values.dtype.kind == "O":
+            if array.values.dtype.kind == "O":
                 for member, row in zip(stack.members.tolist(), numbers):
-                    found.values[member] = row
+                    array.values[member] = row
             else:
-                found.values[stack.members] = numbers
-        found.missing[stack.members] = False
+                array.values[stack.members] = numbers
+        array.missing[stack.members] = False
 
     def _numbers(self, stack: Stack) -> AnyArray | None:
         """Return one number per message, or one row of numbers per message."""

@@ -112,11 +112,11 @@ class TableValues:
         """Times, nodes and _seq of the gathered blocks."""
         self._clear()
 
-    def _stacked_fields(self, known: Mapping[str, FieldColumn]) -> list[StackedField]:
+    def _stacked_fields(self, columns: Mapping[str, FieldColumn]) -> list[StackedField]:
         if self._table.by_field or self._arrays or not self._by_column:
             return []
         fields = [
-            StackedField(output.ref, known[output.ref.column], kind)
+            StackedField(output.ref, columns[output.ref.column], kind)
             for output, kind in zip(self._outputs, self._kinds)
             if output.ref is not None
         ]
@@ -128,9 +128,9 @@ class TableValues:
         return bool(self._stacked) and self._tester is None
 
     def _origin(
-        self, ref: FieldRef, kind: ArrayType, known: Mapping[str, FieldColumn]
+        self, ref: FieldRef, kind: ArrayType, columns: Mapping[str, FieldColumn]
     ) -> Origin | None:
-        column = known.get(ref.column)
+        column = columns.get(ref.column)
         inside = column is not None and column.array in self._arrays
         convert = None if column is None else compile_convert(ref, column, kind, inside)
         if column is None or convert is None:
@@ -255,8 +255,8 @@ class TableValues:
         chunks = []
         for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
             if origin is None:
-                own = self._of_blocks if self._blocks else self._own_values
-                chunks.append(own(output.place, kind))
+                own_values = self._of_blocks if self._blocks else self._own_values
+                chunks.append(own_values(output.place, kind))
                 continue
             chunk = next(fields)
             if rest:
@@ -272,8 +272,8 @@ class TableValues:
         try:
             return cut(wire)
         except CorruptMessage as exc:
-            own = self._of_blocks if self._blocks else self._own_values
-            key = own(KEY_PLACE, ArrayType("time")).values[n]
+            own_values = self._of_blocks if self._blocks else self._own_values
+            key = own_values(KEY_PLACE, ArrayType("time")).values[n]
             kind = self._table.msg_type
             _log.warning("a message of type %s at %s cannot be read: %s", kind, key, exc)
             return [None] * len(self._names)
@@ -306,14 +306,14 @@ class TableValues:
             else:
                 chunk = origin.convert(columns[origin.place])
                 repeats = None if origin.inside else counts
-            chunks.append(ColumnArray(*(_chosen(values, repeats, kept) for values in chunk)))
-        self._orders.append(_chosen(_order(self._numbers), counts, kept))
+            chunks.append(ColumnArray(*(_choose(values, repeats, kept) for values in chunk)))
+        self._orders.append(_choose(_order(self._numbers), counts, kept))
         return chunks
 
     def _own_values(self, place: int, kind: ArrayType) -> ColumnArray:
-        own = [pair[place] for pair in self._own]
-        values = objects_of(own) if kind.dtype.kind == "O" else np.array(own, np.int64)
-        return ColumnArray(values, none_missing(len(own)))
+        column = [pair[place] for pair in self._own]
+        values = objects_of(column) if kind.dtype.kind == "O" else np.array(column, np.int64)
+        return ColumnArray(values, none_missing(len(column)))
 
     def _of_blocks(self, place: int, kind: ArrayType) -> ColumnArray:
         blocks = self._blocks
@@ -340,10 +340,10 @@ class TableValues:
 
         Missing if not in the table.
         """
-        for n, (output, own) in enumerate(zip(self._outputs, self._kinds)):
+        for n, (output, own_kind) in enumerate(zip(self._outputs, self._kinds)):
             if output.name == name:
                 chunks, self._chunks[n] = self._chunks[n], []
-                return cast_values(join_values(chunks, own), own, kind)
+                return cast_values(join_values(chunks, own_kind), own_kind, kind)
         return empty_values(kind, self.count)
 
 
@@ -352,7 +352,7 @@ def _order(numbers: Sequence[int]) -> AnyArray:
     return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
 
 
-def _chosen(values: AnyArray, counts: AnyArray | None, kept: AnyArray | None) -> AnyArray:
+def _choose(values: AnyArray, counts: AnyArray | None, kept: AnyArray | None) -> AnyArray:
     """Repeat the values of a message for each of its elements, and keep those that match."""
     if counts is not None:
         values = np.repeat(values, counts, axis=0)

@@ -90,16 +90,16 @@ def _compile(expression: Expression, definition: Definition, refs: list[FieldRef
     if isinstance(expression, Negation):
         return None
     if isinstance(expression, (All, Either)):
-        tests = [_compile(item, definition, refs) for item in expression.items]
-        known = [test for test in tests if test is not None]
+        all_tests = [_compile(item, definition, refs) for item in expression.items]
+        tests = [test for test in all_tests if test is not None]
         either = isinstance(expression, Either)
-        if not known or (either and len(known) < len(tests)):
+        if not tests or (either and len(tests) < len(all_tests)):
             return None
-        return _joined(known, np.logical_or if either else np.logical_and)
+        return _join(tests, np.logical_or if either else np.logical_and)
     return _leaf(expression, definition, refs)
 
 
-def _joined(tests: Sequence[_Test], join: Any) -> _Test:
+def _join(tests: Sequence[_Test], join: Any) -> _Test:
     def test(stack: Stack) -> Mask:
         mask = tests[0](stack)
         for other in tests[1:]:
@@ -111,7 +111,7 @@ def _joined(tests: Sequence[_Test], join: Any) -> _Test:
 
 def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | None:
     if isinstance(leaf, Quantified):
-        return _quantified(leaf, definition, refs)
+        return _quantifier_test(leaf, definition, refs)
     if isinstance(leaf, Compare) and isinstance(leaf.operand, Call):
         # The minimum or maximum satisfies such a comparison only if some element does.
         call = leaf.operand
@@ -144,7 +144,9 @@ def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | N
     return lambda stack: np.logical_or.reduce(compare(get(stack)))
 
 
-def _quantified(leaf: Quantified, definition: Definition, refs: list[FieldRef]) -> _Test | None:
+def _quantifier_test(
+    leaf: Quantified, definition: Definition, refs: list[FieldRef]
+) -> _Test | None:
     if len(leaf.tests) != 1 or leaf.negated:
         return None
     ((operator, value),) = leaf.tests
@@ -216,11 +218,11 @@ def _getter(ref: FieldRef) -> _Get | None:
     return _part(ref.part, lambda stack: stack.numbers(path, base, chosen))
 
 
-def _part(part: str, get: _Get) -> _Get:
+def _part(time_part: str, get: _Get) -> _Get:
     """Return the function that reads secs or nsecs of a time, or the whole time."""
-    if part == "secs":
+    if time_part == "secs":
         return lambda stack: get(stack) // SECOND_NS
-    if part == "nsecs":
+    if time_part == "nsecs":
         return lambda stack: get(stack) % SECOND_NS
     return get
 
@@ -277,16 +279,16 @@ def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
 
 
 def _one_of(dtype: np.dtype[Any], values: Sequence[Any]) -> _Compare:
-    found = []
+    numbers = []
     for value in values:
         below, above = _neighbours(dtype, value) if value == value else (None, None)
         if below is not None and below == above:
-            found.append(below)
-    if len(found) == 1:
-        only = found[0]
+            numbers.append(below)
+    if len(numbers) == 1:
+        only = numbers[0]
         return lambda x: x == only
-    wanted = np.array(found, dtype)
-    return lambda x: np.isin(x, wanted)
+    array = np.array(numbers, dtype)
+    return lambda x: np.isin(x, array)
 
 
 def _neighbours(dtype: np.dtype[Any], value: Any) -> tuple[Any, Any]:

@@ -126,8 +126,8 @@ def bounds_of(select: Select, read: Read = EVERYTHING, tables: Sequence[Table] =
     bounds = Bounds(read, empty=read.whose.empty).within(0, MAX_NS)
     named, runs = any(table.named for table in tables), _distinct(table.runs for table in tables)
     try:
-        for part in conjuncts(select.condition):
-            bounds = _narrowed(bounds, part, named, runs)
+        for conjunct in conjuncts(select.condition):
+            bounds = _narrow(bounds, conjunct, named, runs)
         for leaf in leaves(select.condition) if named else ():
             if not isinstance(leaf, Compare) or leaf.operator not in _ORDERED:
                 continue
@@ -148,35 +148,44 @@ def in_another_unit(condition: Expression | None) -> Iterator[Literal]:
             yield literal
 
 
-def bounds_time(part: Expression) -> bool:
+def bounds_time(conjunct: Expression) -> bool:
     """Return whether a part of a condition only sets an end of the time range of a read."""
     return (
-        isinstance(part, Compare)
-        and isinstance(part.operand, KeyOperand)
-        and part.operator in ("=", *_ORDERED)
+        isinstance(conjunct, Compare)
+        and isinstance(conjunct.operand, KeyOperand)
+        and conjunct.operator in ("=", *_ORDERED)
     )
 
 
-def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Sequence[Runs]) -> Bounds:
-    if isinstance(part, Compare) and isinstance(part.operand, RunOperand) and part.operator == "=":
+def _narrow(bounds: Bounds, conjunct: Expression, named: bool, runs: Sequence[Runs]) -> Bounds:
+    if (
+        isinstance(conjunct, Compare)
+        and isinstance(conjunct.operand, RunOperand)
+        and conjunct.operator == "="
+    ):
         if runs:
-            name = fit_to_text(part.value, "RUN")
-            return bounds.of(Whose(None, frozenset().union(*(each.called(name) for each in runs))))
-    if isinstance(part, Compare) and isinstance(part.operand, NodeOperand) and part.operator == "=":
+            name = fit_to_text(conjunct.value, "RUN")
+            writers = frozenset().union(*(lookup.called(name) for lookup in runs))
+            return bounds.of(Whose(None, writers))
+    if (
+        isinstance(conjunct, Compare)
+        and isinstance(conjunct.operand, NodeOperand)
+        and conjunct.operator == "="
+    ):
         try:
-            return bounds.of(Whose.of(check_node(fit_to_text(part.value, "NODE"))))
+            return bounds.of(Whose.of(check_node(fit_to_text(conjunct.value, "NODE"))))
         except InvalidName:
             return replace(bounds, empty=True)  # no message has an invalid nodeID
-    if isinstance(part, Compare) and isinstance(part.operand, KeyOperand):
-        if named and part.operator == "=":
-            return bounds.named(fit_to_text(part.value, "KEY"))
-        if not named and part.operator in ("=", *_ORDERED):
-            ns = fit_to_time(part.value)
-            low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)
-            high = {"=": ns, "<=": ns, "<": ns - 1}.get(part.operator)
+    if isinstance(conjunct, Compare) and isinstance(conjunct.operand, KeyOperand):
+        if named and conjunct.operator == "=":
+            return bounds.named(fit_to_text(conjunct.value, "KEY"))
+        if not named and conjunct.operator in ("=", *_ORDERED):
+            ns = fit_to_time(conjunct.value)
+            low = {"=": ns, ">=": ns, ">": ns + 1}.get(conjunct.operator)
+            high = {"=": ns, "<=": ns, "<": ns - 1}.get(conjunct.operator)
             return bounds.within(low, high)
-    if isinstance(part, OneOf) and isinstance(part.operand, KeyOperand) and not named:
-        times = list(map(fit_to_time, part.values))
+    if isinstance(conjunct, OneOf) and isinstance(conjunct.operand, KeyOperand) and not named:
+        times = list(map(fit_to_time, conjunct.values))
         if times:
             bounds = bounds.within(min(times), max(times))
     return replace(bounds, whole=False)
@@ -213,28 +222,28 @@ class _ReadScope(NamedTuple):
     read: Read
 
 
-def _with_stays(item: Expression, asked: _ReadScope) -> Expression:
+def _with_stays(item: Expression, scope: _ReadScope) -> Expression:
     if isinstance(item, TIMED):
-        return _with_stays_of(item, asked)
+        return _with_stays_of(item, scope)
     if isinstance(item, Negation):
-        return Negation(_with_stays(item.item, asked))
+        return Negation(_with_stays(item.item, scope))
     if isinstance(item, (All, Either)):
-        return replace(item, items=tuple(_with_stays(each, asked) for each in item.items))
+        return replace(item, items=tuple(_with_stays(inner, scope) for inner in item.items))
     return item
 
 
-def _with_stays_of(leaf: Timed, asked: _ReadScope) -> Timed:
-    find = _events_of(leaf, asked) if isinstance(leaf, InEvent) else _places_of(leaf, asked)
-    if not asked.tables:
+def _with_stays_of(leaf: Timed, scope: _ReadScope) -> Timed:
+    find = _events_of(leaf, scope) if isinstance(leaf, InEvent) else _places_of(leaf, scope)
+    if not scope.tables:
         return leaf
     try:
-        return replace(leaf, stays=find(asked.tables))
+        return replace(leaf, stays=find(scope.tables))
     except (InvalidName, InvalidOption) as exc:
         raise StatementError(leaf.position, str(exc)) from exc
 
 
-def _places_of(near: Near, asked: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
-    disk, whose = disk_of(near), asked.read.whose
+def _places_of(near: Near, scope: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
+    disk, whose = disk_of(near), scope.read.whose
 
     def find(tables: Sequence[Table]) -> Stays:
         places, *others = _distinct(table.places for table in tables)
@@ -248,7 +257,7 @@ def _places_of(near: Near, asked: _ReadScope) -> Callable[[Sequence[Table]], Sta
     return find
 
 
-def _events_of(leaf: InEvent, asked: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
+def _events_of(leaf: InEvent, scope: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
     name = leaf.name.value
     if not isinstance(name, str):
         reason = f"the name of an event is a text in quotes, as 'bump', not {leaf.name.text}"
@@ -256,7 +265,7 @@ def _events_of(leaf: InEvent, asked: _ReadScope) -> Callable[[Sequence[Table]], 
 
     def find(tables: Sequence[Table]) -> Stays:
         first, *others = _distinct(table.events for table in tables)
-        return first.times(name, leaf.like, asked.read, others)
+        return first.times(name, leaf.like, scope.read, others)
 
     return find
 
@@ -266,7 +275,7 @@ _T = TypeVar("_T")
 
 def _distinct(lookups: Iterable[_T]) -> list[_T]:
     """Return the lookups of the keyspaces of some tables, each once."""
-    return list({id(each): each for each in lookups}.values())
+    return list({id(lookup): lookup for lookup in lookups}.values())
 
 
 def disk_of(near: Near) -> Disk:
@@ -306,11 +315,11 @@ def spans_of(condition: Expression | None) -> RangeSource | None:
     if isinstance(condition, TIMED) and condition.stays is not None:
         return condition.stays.spans
     if isinstance(condition, (All, Either)):
-        found = [spans_of(item) for item in condition.items]
-        known = [spans for spans in found if spans is not None]
+        all_sources = [spans_of(item) for item in condition.items]
+        sources = [spans for spans in all_sources if spans is not None]
         if isinstance(condition, All):
-            return _both(known) if known else None
-        return _united(known) if len(known) == len(found) else None
+            return _both(sources) if sources else None
+        return _unite(sources) if len(sources) == len(all_sources) else None
     return None
 
 
@@ -328,13 +337,13 @@ def _both(every: Sequence[RangeSource]) -> RangeSource:
     return spans
 
 
-def _united(every: Sequence[RangeSource]) -> RangeSource:
-    if len(every) == 1:
-        return every[0]
+def _unite(sources: Sequence[RangeSource]) -> RangeSource:
+    if len(sources) == 1:
+        return sources[0]
 
     def spans(low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         sign = -1 if reverse else 1
-        streams = [each(low, high, reverse) for each in every]
+        streams = [source(low, high, reverse) for source in sources]
         last: NsRange | None = None
         # Descending ranges are merged by their ends, ascending ones by their starts.
         for span in heapq.merge(*streams, key=lambda span: sign * span[1 if reverse else 0]):

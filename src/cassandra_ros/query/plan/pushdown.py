@@ -97,7 +97,7 @@ def ways_of(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> 
         return _equal(held, "CONTAINS" if held.many else "=", values)
     if held.many or operator not in ("<", "<=", ">", ">="):
         return None
-    return _bounded(held, operator, values[0])
+    return _bound_ways(held, operator, values[0])
 
 
 def span_of(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
@@ -105,7 +105,7 @@ def span_of(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
     numbers = [v for v in values if not isinstance(v, str) and v == v]
     if held.many or not numbers or len(numbers) < len(values):
         return None
-    ways = [_bounded(held, ">=", min(numbers)), _bounded(held, "<=", max(numbers))]
+    ways = [_bound_ways(held, ">=", min(numbers)), _bound_ways(held, "<=", max(numbers))]
     if NEVER in ways:
         return NEVER
     terms = tuple(term for way in ways for term in (way[0] if way else ()))
@@ -146,7 +146,7 @@ def _exact(held: ServerColumn, value: Comparable) -> list[bytes] | None:
     return [encode_value(held.cql_type, int(value))]
 
 
-def _bounded(held: ServerColumn, operator: str, value: Comparable) -> Ways:
+def _bound_ways(held: ServerColumn, operator: str, value: Comparable) -> Ways:
     if isinstance(value, str) or held.cql_type in ("text", "boolean"):
         return None
     if value != value:
@@ -176,8 +176,8 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
         # Converted to Python numbers, which compare exactly.
         if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
             near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
-    found = float(near)
-    return encode_value(cql_type, found if found else (-0.0 if upwards else 0.0))
+    number = float(near)
+    return encode_value(cql_type, number if number else (-0.0 if upwards else 0.0))
 
 
 def zone_ways(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
@@ -192,7 +192,7 @@ def zone_ways(held: ServerColumn, operator: str, values: Sequence[Comparable]) -
         return tuple(dict.fromkeys(way[0] for way in ways if way))
     if operator not in ("<", "<=", ">", ">="):
         return None
-    return _zone_bounded(held, operator, values[0])
+    return _zone_bound_ways(held, operator, values[0])
 
 
 def zone_span(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
@@ -204,14 +204,14 @@ def zone_span(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
 def _zone_around(held: ServerColumn, low: Comparable, high: Comparable) -> Ways:
     if low == high and held.cql_type != "text" and _exact(held, low) == []:
         return NEVER
-    ways = [_zone_bounded(held, ">=", low), _zone_bounded(held, "<=", high)]
+    ways = [_zone_bound_ways(held, ">=", low), _zone_bound_ways(held, "<=", high)]
     if NEVER in ways:
         return NEVER
     terms = tuple(term for way in ways for term in (way[0] if way else ()))
     return (terms,) if terms else None
 
 
-def _zone_bounded(held: ServerColumn, operator: str, value: Comparable) -> Ways:
+def _zone_bound_ways(held: ServerColumn, operator: str, value: Comparable) -> Ways:
     upwards = operator in (">", ">=")
     end = replace(held, column=(HIGH if upwards else LOW) + held.column)
     if isinstance(value, str) != (held.cql_type == "text"):
@@ -219,7 +219,7 @@ def _zone_bounded(held: ServerColumn, operator: str, value: Comparable) -> Ways:
     if isinstance(value, str):
         return _zone_text(end, operator, value)
     if held.cql_type != "boolean":
-        return _bounded(end, operator, value)
+        return _bound_ways(end, operator, value)
     # A block has a value above false, or below true, only if that bound is the other value.
     wanted = 1 if upwards else 0
     if not (_COMPARE[operator](1, value) or _COMPARE[operator](0, value)):
@@ -359,7 +359,7 @@ class Pushdown:
     def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Sequence[Query] | None:
         """Return the queries whose rows include all matching rows; None = read all rows."""
         self._watch()
-        chosen = self._chosen(table, bucket)
+        chosen = self._choose_queries(table, bucket)
         if table.packed:
             self.held += sum(row.rows for row in bucket)
         if chosen is None:
@@ -376,7 +376,7 @@ class Pushdown:
         """Return whether only few rows were found so far."""
         return table not in self._many
 
-    def learn(self, table: Table, bucket: Sequence[_Bucket], found: int) -> None:
+    def learn(self, table: Table, bucket: Sequence[_Bucket], hits: int) -> None:
         """Record the rows found in a bucket; after many rows the next buckets are checked less."""
         every = sum(row.rows for row in bucket)
         if table.packed:
@@ -384,11 +384,11 @@ class Pushdown:
             self._passed[table] = passed
             if opened > DENSE_ROWS and opened > ZONES_SHARE * passed:
                 self._idle.add(table)
-        if found > FEW_ROWS and found > FEW_SHARE * every:
+        if hits > FEW_ROWS and hits > FEW_SHARE * every:
             self._many.add(table)
-        if found > DENSE_ROWS and found > DENSE_SHARE * every:
+        if hits > DENSE_ROWS and hits > DENSE_SHARE * every:
             self._dense.add(table)
-            if found > CROWDED_SHARE * every:
+            if hits > CROWDED_SHARE * every:
                 self._crowded.add(table)
 
     def sift(self, table: Table) -> Sift | None:
@@ -407,7 +407,7 @@ class Pushdown:
         self.unpacked += messages
         self.kept += kept
 
-    def _chosen(self, table: Table, bucket: Sequence[_Bucket]) -> list[Query] | None:
+    def _choose_queries(self, table: Table, bucket: Sequence[_Bucket]) -> list[Query] | None:
         if self._plan == "client" or self._expression is None:
             return None
         if table not in self._branches:
@@ -424,10 +424,10 @@ class Pushdown:
         queries: list[Query] = []
         used: Used = {}
         for branch in branches:
-            found = self._queries(branch, filled, used, "zones" if table.packed else "filter")
-            if found is None or len(queries) + len(found) > MAX_QUERIES:
+            extra = self._queries(branch, filled, used, "zones" if table.packed else "filter")
+            if extra is None or len(queries) + len(extra) > MAX_QUERIES:
                 return None
-            queries.extend(found)
+            queries.extend(extra)
         if self._plan == "auto" and len(queries) > 1 and table in self._crowded:
             return None
         self.used.update(used)
@@ -448,7 +448,7 @@ class Pushdown:
         chosen = [
             (bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch
         ]
-        for by_index, check in sorted(chosen, key=lambda found: not found[0]):
+        for by_index, check in sorted(chosen, key=lambda pair: not pair[0]):
             way = check.indexed if by_index else check.filtered
             if way is not None and count * len(way) <= MAX_QUERIES:
                 count *= len(way)
@@ -481,21 +481,21 @@ def _branches(expression: Expression, table: Table) -> list[Branch] | None:
     if isinstance(expression, Negation):
         return None
     if isinstance(expression, Either):
-        found = [_branches(item, table) for item in expression.items]
-        every = [branch for branches in found for branch in branches or ()]
-        return None if None in found or len(every) > MAX_QUERIES else every
+        branch_lists = [_branches(item, table) for item in expression.items]
+        every = [branch for branches in branch_lists for branch in branches or ()]
+        return None if None in branch_lists or len(every) > MAX_QUERIES else every
     if isinstance(expression, All):
-        return _joined([_branches(item, table) for item in expression.items])
+        return _join_branches([_branches(item, table) for item in expression.items])
     check = _check_of(expression, table)
     return None if check.filtered is None and check.indexed is None else [(check,)]
 
 
-def _joined(found: Sequence[list[Branch] | None]) -> list[Branch] | None:
-    known = sorted((branches for branches in found if branches is not None), key=len)
-    if not known:
+def _join_branches(branch_lists: Sequence[list[Branch] | None]) -> list[Branch] | None:
+    factors = sorted((branches for branches in branch_lists if branches is not None), key=len)
+    if not factors:
         return None
     joined: list[Branch] = [()]
-    for branches in known:
+    for branches in factors:
         if len(joined) * len(branches) <= MAX_QUERIES:
             joined = [one + other for one in joined for other in branches]
     return joined
@@ -531,16 +531,16 @@ def _ways(
 ) -> Ways:
     if held is None:
         return None
-    found = ways_of(held, operator, values)
-    return found if found is None or len(found) <= most else span_of(held, values)
+    ways = ways_of(held, operator, values)
+    return ways if ways is None or len(ways) <= most else span_of(held, values)
 
 
 def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comparable]) -> Ways:
-    held = None if table.definition is None else _zoned(table.definition).get(ref.column)
+    held = None if table.definition is None else _zone_columns(table.definition).get(ref.column)
     if held is None:
         return None
-    found = zone_ways(held, operator, values)
-    return found if found is None or len(found) <= FEW_VALUES else zone_span(held, values)
+    ways = zone_ways(held, operator, values)
+    return ways if ways is None or len(ways) <= FEW_VALUES else zone_span(held, values)
 
 
 def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:
@@ -551,7 +551,7 @@ def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:
 
 
 @lru_cache(maxsize=256)
-def _zoned(definition: Definition) -> dict[str, ServerColumn]:
+def _zone_columns(definition: Definition) -> dict[str, ServerColumn]:
     """Return the fields with zones, by name."""
     fields = zone_map(definition).fields
     return {name: ServerColumn(name, column.element_type) for name, column in fields.items()}

@@ -117,14 +117,14 @@ def compile_condition(expression: Expression | None, fields: NameResolver) -> Ch
         return _negation(compile_condition(expression.item, fields))
     if isinstance(expression, (All, Either)):
         checks = [compile_condition(item, fields) for item in expression.items]
-        return _joined(checks, isinstance(expression, Either))
+        return _join_checks(checks, isinstance(expression, Either))
     if isinstance(expression, TIMED):
-        return _timed(expression, *fields.whereabouts())
+        return _stay_check(expression, *fields.whereabouts())
     if isinstance(expression, Relate):
         left, right = fields.compute(expression)
-        return _related(expression.operator, left, right)
+        return _relation_check(expression.operator, left, right)
     if isinstance(expression, Quantified):
-        return _quantified(expression, fields.locate(expression), fields.compute(expression))
+        return _quantifier_check(expression, fields.locate(expression), fields.compute(expression))
     if not isinstance(expression.operand, Call):
         return _leaf(expression, fields.locate(expression), fields)
     (get,) = fields.compute(expression)
@@ -145,14 +145,14 @@ def _leaf(leaf: Compare | OneOf | IsNull, place: int | None, fields: NameResolve
     return _membership(place, listed)
 
 
-def _timed(leaf: Timed, node: int, run: int, time: int) -> Check:
+def _stay_check(leaf: Timed, node: int, run: int, time: int) -> Check:
     if leaf.stays is None:  # the topic has no tables, and therefore no rows
         return lambda values: None
     holds = leaf.stays.holds
     return lambda values: holds(values[node], values[run], values[time])
 
 
-def _related(sign: str, left: Get | None, right: Get | None) -> Check:
+def _relation_check(sign: str, left: Get | None, right: Get | None) -> Check:
     if left is None or right is None:
         return lambda values: None
     first, second, test = left, right, _SWAPPED[sign]
@@ -164,16 +164,16 @@ def _related(sign: str, left: Get | None, right: Get | None) -> Check:
     return check
 
 
-def _quantified(leaf: Quantified, place: int | None, gets: Sequence[Get | None]) -> Check:
+def _quantifier_check(leaf: Quantified, place: int | None, gets: Sequence[Get | None]) -> Check:
     """Return the check of ANY or ALL. For an empty array ANY is false and ALL true."""
-    known = [get for get in gets if get is not None]
-    if place is None or len(known) < len(gets):
+    operands = [get for get in gets if get is not None]
+    if place is None or len(operands) < len(gets):
         return lambda values: None
     signs = [sign for sign, _ in leaf.tests]
     quantify = all if leaf.every else any
     fixed = None
     if all(isinstance(term, Literal) for _, term in leaf.tests):
-        fixed = _element_test(leaf, [_test(s, get(())) for s, get in zip(signs, known)])
+        fixed = _element_test(leaf, [_test(s, get(())) for s, get in zip(signs, operands)])
 
     def check(values: RowValues) -> bool | None:
         array = values[place]
@@ -181,7 +181,7 @@ def _quantified(leaf: Quantified, place: int | None, gets: Sequence[Get | None])
             return None
         test = fixed
         if test is None:
-            wanted = [get(values) for get in known]
+            wanted = [get(values) for get in operands]
             if any(value is None for value in wanted):
                 return None
             test = _element_test(leaf, list(map(_test, signs, wanted)))
@@ -206,7 +206,7 @@ def _test(sign: str, wanted: Any) -> Callable[[Any], bool]:
 def _comparison(place: int, sign: str, wanted: Comparable | None) -> Check:
     if wanted is None:
         return lambda values: None
-    return _tested(place, _holding(wanted) if sign == "CONTAINS" else _test(sign, wanted))
+    return _value_check(place, _holding(wanted) if sign == "CONTAINS" else _test(sign, wanted))
 
 
 def _membership(place: int, listed: Sequence[Comparable | None]) -> Check:
@@ -224,7 +224,7 @@ def _membership(place: int, listed: Sequence[Comparable | None]) -> Check:
     return check
 
 
-def _tested(place: int, test: Callable[[Any], bool]) -> Check:
+def _value_check(place: int, test: Callable[[Any], bool]) -> Check:
     def check(values: RowValues) -> bool | None:
         value = values[place]
         return None if value is None else test(value)
@@ -246,13 +246,13 @@ def like_test(pattern: str) -> Callable[[str], bool]:
     middle = [_piece(piece) for piece in pieces[1:-1] if piece]
 
     def test(text: str) -> bool:
-        found = head.match(text)
+        match = head.match(text)
         for piece in middle:
-            if found is None:
+            if match is None:
                 return False
-            found = piece.search(text, found.end())
+            match = piece.search(text, match.end())
         last = len(text) - len(pieces[-1])
-        return found is not None and found.end() <= last and tail.match(text, last) is not None
+        return match is not None and match.end() <= last and tail.match(text, last) is not None
 
     return test
 
@@ -277,22 +277,22 @@ def _holding(wanted: Comparable) -> Callable[[Any], bool]:
 
 def _negation(inner: Check) -> Check:
     def check(values: RowValues) -> bool | None:
-        found = inner(values)
-        return None if found is None else not found
+        truth = inner(values)
+        return None if truth is None else not truth
 
     return check
 
 
-def _joined(checks: list[Check], decisive: bool) -> Check:
+def _join_checks(checks: list[Check], decisive: bool) -> Check:
     """Return the check of AND (decisive False) or OR (decisive True): one decisive part decides."""
 
     def check(values: RowValues) -> bool | None:
         result: bool | None = not decisive
-        for part in checks:
-            found = part(values)
-            if found is decisive:
+        for inner in checks:
+            truth = inner(values)
+            if truth is decisive:
                 return decisive
-            if found is None:
+            if truth is None:
                 result = None
         return result
 
@@ -361,14 +361,18 @@ class NameResolver:
     def outputs(self, selected: Selected | None) -> Sequence[Output]:
         """Return the columns of one selected path; None = every field."""
         if selected is None:
-            return self._shown(() if self._definition is None else all_fields(self._definition))
+            return self._outputs_of(
+                () if self._definition is None else all_fields(self._definition)
+            )
         what = selected.what
         if isinstance(what, Aggregate):
-            return self._aggregated(what, selected.text)
+            return self._aggregate(what, selected.text)
         if not isinstance(what, Path):
-            found = self._output(what)
-            return [] if found is None else [found._replace(name=selected.text)]
-        columns = self._shown(self._resolved(what, lambda definition: fields_of(what, definition)))
+            column = self._output(what)
+            return [] if column is None else [column._replace(name=selected.text)]
+        columns = self._outputs_of(
+            self._resolve(what, lambda definition: fields_of(what, definition))
+        )
         if selected.alias is None:
             return columns
         if len(columns) > 1:
@@ -380,37 +384,37 @@ class NameResolver:
         what = selected.what
         if isinstance(what, Aggregate):
             raise AssertionError("aggregates are ordered by the columns that show them")
-        found = self._output(what)
-        return [] if found is None else [found._replace(name=selected.text)]
+        column = self._output(what)
+        return [] if column is None else [column._replace(name=selected.text)]
 
-    def _shown(self, refs: Sequence[FieldRef]) -> list[Output]:
+    def _outputs_of(self, refs: Sequence[FieldRef]) -> list[Output]:
         return [Output(ref.name, self._place(ref), ref.type, ref) for ref in refs]
 
-    def _aggregated(self, asked: Aggregate, name: str) -> Sequence[Output]:
-        operand, function = asked.operand, asked.function
-        found = self._output(operand or KeyOperand(0))
-        if found is None:
+    def _aggregate(self, aggregate: Aggregate, name: str) -> Sequence[Output]:
+        operand, function = aggregate.operand, aggregate.function
+        column = self._output(operand or KeyOperand(0))
+        if column is None:
             return []
-        if operand is not None and function in ("sum", "avg") and found.kind in NO_NUMBERS:
-            reason = f"{operand.text} is a {found.kind}, and {function} is for numbers; "
+        if operand is not None and function in ("sum", "avg") and column.kind in NO_NUMBERS:
+            reason = f"{operand.text} is a {column.kind}, and {function} is for numbers; "
             problem = StatementError(operand.position, reason + "min, max and count take any field")
-            self._findings.wrong.setdefault(asked.position, problem)
+            self._findings.wrong.setdefault(aggregate.position, problem)
             return []
-        self._findings.fine.add(asked.position)
+        self._findings.fine.add(aggregate.position)
         if function in ("min", "max"):
-            return [found._replace(name=name)]
-        total = "float64" if found.kind.startswith("float") else INTEGER
+            return [column._replace(name=name)]
+        total = "float64" if column.kind.startswith("float") else INTEGER
         kinds = {"count": COUNTED, "avg": "float64", "sum": total}
-        return [found._replace(name=name, kind=kinds[function], ref=None)]
+        return [column._replace(name=name, kind=kinds[function], ref=None)]
 
     def _output(self, term: Term, array: bool | None = False) -> Output | None:
         """Return the column of one term; None if the table lacks it."""
         if isinstance(term, (Literal, Call)):
-            made = self._computed(term)
+            made = self._compute(term)
             return None if made is None else Output(term.text, -1, made.kind, compute=made.get)
         if isinstance(term, Path):
-            found = self._resolved(term, lambda definition: [field_of(term, definition, array)])
-            return self._shown(found)[0] if found else None
+            refs = self._resolve(term, lambda definition: [field_of(term, definition, array)])
+            return self._outputs_of(refs)[0] if refs else None
         if isinstance(term, NodeOperand):
             return Output(term.text, NODE_PLACE, "string")
         if isinstance(term, RunOperand):
@@ -418,7 +422,7 @@ class NameResolver:
             return Output(term.text, RUN_PLACE, "string")
         return Output(term.text, KEY_PLACE, "string" if self._named else "time")
 
-    def _computed(self, term: Term) -> Computed | None:
+    def _compute(self, term: Term) -> Computed | None:
         """Compile a term; None if the table lacks it."""
         made = None
         try:
@@ -426,29 +430,31 @@ class NameResolver:
         except StatementError as exc:
             self._findings.wrong.setdefault(exc.position, exc)
         if made is not None:
-            self._findings.fine.update(part.position for part in inside(term))
+            self._findings.fine.update(inner.position for inner in inside(term))
         elif isinstance(term, Call):
             # The valid parts of a term are no errors if another definition lacks them.
-            for part in term.arguments:
-                if isinstance(part, Call):
-                    self._computed(part)
+            for argument in term.arguments:
+                if isinstance(argument, Call):
+                    self._compute(argument)
         return made
 
     def _find(self, operand: Operand, array: bool | None) -> OperandPlace | None:
         if array is None and isinstance(operand, Path):
             return self._find_counted(operand)
-        found = self._output(operand, array)
-        if found is None:
+        column = self._output(operand, array)
+        if column is None:
             return None
-        self._used.add(found.place)
-        return OperandPlace(found.kind, found.place, found.ref is not None and found.ref.is_array)
+        self._used.add(column.place)
+        return OperandPlace(
+            column.kind, column.place, column.ref is not None and column.ref.is_array
+        )
 
     def _find_counted(self, path: Path) -> OperandPlace | None:
         """Return a field with one value per element, also for an array of messages."""
-        found = self._resolved(path, lambda definition: [counted_field(path, definition)])
-        if not found:
+        refs = self._resolve(path, lambda definition: [counted_field(path, definition)])
+        if not refs:
             return None
-        (ref,) = found
+        (ref,) = refs
         array = ref.steps[: len(path.parts)]
         self._used.add(self._place(ref))
         if not array[-1].many:
@@ -472,11 +478,11 @@ class NameResolver:
 
     def locate(self, leaf: Comparison) -> int | None:
         """Return the index of a comparison's operand; None if the table lacks it."""
-        found = self._output(leaf.operand, wants_array(leaf))
-        if found is None:
+        column = self._output(leaf.operand, wants_array(leaf))
+        if column is None:
             return None
-        self._used.add(found.place)
-        return found.place
+        self._used.add(column.place)
+        return column.place
 
     def whereabouts(self) -> tuple[int, int, int]:
         """Return the indices of node, run and time, which identify the robot's position."""
@@ -487,10 +493,10 @@ class NameResolver:
         """Return the functions of a comparison's terms, except of an array; None: missing."""
         if isinstance(leaf, Quantified):
             return self._tests(leaf)
-        made = self._computed(leaf.operand)
+        made = self._compute(leaf.operand)
         if not isinstance(leaf, Relate):
             return [None if made is None else made.get]
-        other = self._computed(leaf.other)
+        other = self._compute(leaf.other)
         if made is None or other is None:
             self._hint_at_quotes(leaf, made)
             return [None, None]
@@ -500,15 +506,17 @@ class NameResolver:
 
     def _tests(self, leaf: Quantified) -> Sequence[Get | None]:
         array = self._output(leaf.operand, array=True)
-        return [self._wanted(leaf, array, sign, term) for sign, term in leaf.tests]
+        return [self._comparison_value(leaf, array, sign, term) for sign, term in leaf.tests]
 
-    def _wanted(self, leaf: Quantified, array: Output | None, sign: str, term: Term) -> Get | None:
+    def _comparison_value(
+        self, leaf: Quantified, array: Output | None, sign: str, term: Term
+    ) -> Get | None:
         # The term is resolved even if the array is missing: naming its fields may unnest arrays.
-        made = None if isinstance(term, Literal) else self._computed(term)
+        made = None if isinstance(term, Literal) else self._compute(term)
         if array is None:
             return None
         if isinstance(term, Literal):
-            value = self._fitted(Compare(leaf.operand, sign, term), array, term)
+            value = self._fit_literal(Compare(leaf.operand, sign, term), array, term)
             return None if value is None else lambda values: value
         if made is None or not self._are_alike(
             leaf.operand, array.kind, term, made.kind, leaf.position
@@ -541,31 +549,31 @@ class NameResolver:
 
         None if they cannot be compared here.
         """
-        found = self._output(leaf.operand, wants_array(leaf))
-        return None if found is None else self._fitted(leaf, found, literal)
+        column = self._output(leaf.operand, wants_array(leaf))
+        return None if column is None else self._fit_literal(leaf, column, literal)
 
-    def _fitted(self, leaf: Comparison, found: Output, literal: Literal) -> Comparable | None:
+    def _fit_literal(self, leaf: Comparison, column: Output, literal: Literal) -> Comparable | None:
         try:
-            fitted = _fitted(found, leaf, literal)
+            fitted = _fit(column, leaf, literal)
         except StatementError as exc:
             self._findings.wrong.setdefault(literal.position, exc)
             return None
         self._findings.fine.add(literal.position)
         return fitted
 
-    def _resolved(
+    def _resolve(
         self, path: Path, resolve: Callable[[Definition], Sequence[FieldRef]]
     ) -> Sequence[FieldRef]:
         try:
             if self._definition is None:
                 raise StatementError(path.position, "the messages of this topic have no definition")
             self._unnest_inside(path, fields_of(path, self._definition))
-            found = resolve(self._definition)
+            refs = resolve(self._definition)
         except StatementError as exc:
             self._findings.wrong.setdefault(path.position, exc)
             return ()
         self._findings.fine.add(path.position)
-        return found
+        return refs
 
     def _unnest_inside(self, path: Path, refs: Sequence[FieldRef]) -> None:
         """Unnest the arrays of messages on a path, wherever the path is used."""
@@ -602,17 +610,17 @@ class NameResolver:
         return place
 
 
-def _fitted(found: Output, leaf: Comparison, literal: Literal) -> Comparable:
+def _fit(column: Output, leaf: Comparison, literal: Literal) -> Comparable:
     operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
-    if sign == "CONTAINS" and found.ref is None:
+    if sign == "CONTAINS" and column.ref is None:
         reason = f"{operand.text} is not an array; compare it with ="
         raise StatementError(operand.position, reason)
-    if sign == "LIKE" and found.kind != "string":
-        reason = f"is {kind_name(found.kind)}, and LIKE is for text"
+    if sign == "LIKE" and column.kind != "string":
+        reason = f"is {kind_name(column.kind)}, and LIKE is for text"
         reason += "; compare it with = < > or BETWEEN"
         raise StatementError(operand.position, f"{operand.text} {reason}")
-    if found.ref is not None:
-        return fit_to_field(literal, found.ref)
-    if found.compute is not None:
-        return fit_to_kind(literal, found.kind, operand.text, kind_name(found.kind))
-    return fit_to_text(literal, operand.text) if found.kind == "string" else fit_to_time(literal)
+    if column.ref is not None:
+        return fit_to_field(literal, column.ref)
+    if column.compute is not None:
+        return fit_to_kind(literal, column.kind, operand.text, kind_name(column.kind))
+    return fit_to_text(literal, operand.text) if column.kind == "string" else fit_to_time(literal)

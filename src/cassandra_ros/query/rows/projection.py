@@ -58,7 +58,7 @@ FieldValueList = List[Any]
 class ColumnField(NamedTuple):
     """A field that is a column of format ``ros``, or part of one."""
 
-    asked: int
+    place: int
     """Index of the column among ``Extractor.columns``."""
     stored: int
     """Index of the column among all columns of the table."""
@@ -83,8 +83,8 @@ class Extractor:
     ) -> None:
         self._plan = wire_plan(definition)
         self._depth = len(unnested)
-        known = {column.name for column in self._plan.all_columns}
-        held = [_held_steps(ref, known) for ref in refs]
+        column_names = {column.name for column in self._plan.all_columns}
+        held = [_held_steps(ref, column_names) for ref in refs]
         names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, held) if n]
         self._given = [n > 0 for n in held]
         gets = [
@@ -103,20 +103,20 @@ class Extractor:
         self._read = self._plan.reader(names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
         self._stored = [numbers[name] for name in names if name in numbers]
-        asked = sorted(set(self._stored))
-        self._projected = [asked.index(n) for n in self._stored]
+        indices = sorted(set(self._stored))
+        self._projected = [indices.index(n) for n in self._stored]
         self.columns: list[str] | None = None
         if len(self._stored) == len(names):
-            self.columns = [self._plan.columns[n].name for n in asked]
-        self._gets = [each[0] for each in gets]
+            self.columns = [self._plan.columns[n].name for n in indices]
+        self._gets = [by_level[0] for by_level in gets]
 
     @cached_property
     def direct(self) -> list[ColumnField] | None:
         """How each field is read from its column; None if that is impossible."""
         if self.columns is None or self._depth or not all(self._given):
             return None
-        found = zip(self._projected, self._stored, self._gets)
-        return [self._direct(asked, stored, get) for asked, stored, get in found]
+        triples = zip(self._projected, self._stored, self._gets)
+        return [self._direct(place, stored, get) for place, stored, get in triples]
 
     @cached_property
     def whole(self) -> Callable[[bytes], FieldValueList] | None:
@@ -131,28 +131,28 @@ class Extractor:
             return read
 
         def values(wire: bytes) -> FieldValueList:
-            found = read(wire)
+            fields = read(wire)
             for n, get in steps:
-                found[n] = get(found[n])
-            return found
+                fields[n] = get(fields[n])
+            return fields
 
         return values
 
-    def _direct(self, asked: int, stored: int, get: Get) -> ColumnField:
+    def _direct(self, place: int, stored: int, get: Get) -> ColumnField:
         column, decode = self._plan.columns[stored], self._plan.decoder(stored)
         if get is not _itself:
-            return ColumnField(asked, stored, lambda raw: get(decode(raw)), "")
+            return ColumnField(place, stored, lambda raw: get(decode(raw)), "")
         number = column.kind not in ("text", "bool", "array", "wire") and not column.is_list
         code = CQL_CODES.get(column.element_type, "") if number else ""
-        return ColumnField(asked, stored, decode, code[1:])
+        return ColumnField(place, stored, decode, code[1:])
 
     def values(self, row: Row) -> Iterator[FieldValueList]:
         """Yield the values of a row, once or per unnested element.
 
         CorruptMessage: malformed row.
         """
-        found = iter(self._columns(row))
-        return self._unnest(0, [next(found) if given else [] for given in self._given])
+        columns = iter(self._columns(row))
+        return self._unnest(0, [next(columns) if given else [] for given in self._given])
 
     def _columns(self, row: Row) -> FieldValueList:
         """Return the values of the columns, from the row's columns if they are set."""
@@ -187,14 +187,14 @@ def _count(values: object) -> int:
     return len(values) if isinstance(values, (list, bytes)) else 0
 
 
-def _held_steps(ref: FieldRef, known: Container[str]) -> int:
+def _held_steps(ref: FieldRef, column_names: Container[str]) -> int:
     """Return the number of steps to the column with a field: its own, or a blob that contains it.
 
     0: there is no such column, because the field is inside an array of fixed length 0.
     """
     names = [step.name for step in ref.steps]
     every = range(1, len(names) + 1)
-    return next((n for n in every if ".".join(names[:n]) in known), 0)
+    return next((n for n in every if ".".join(names[:n]) in column_names), 0)
 
 
 def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
@@ -347,8 +347,8 @@ class Projection:
         """Return a projection with these columns for each selected path, None for missing ones."""
         shown: list[tuple[int | None, Get | None]] = []
         for group, wanted in zip(self.groups, names):
-            known = {output.name: (output.place, _show_of(output)) for output in group}
-            shown += [known.get(name, (None, None)) for name in wanted]
+            by_name = {output.name: (output.place, _show_of(output)) for output in group}
+            shown += [by_name.get(name, (None, None)) for name in wanted]
         return replace(self, shown=tuple(shown))
 
     @cached_property
@@ -373,12 +373,12 @@ class Projection:
             return None
         places = range(OWN_WIDTH, OWN_WIDTH + len(direct))
         spots = {
-            len(self.columns): [field.asked for field in direct],
+            len(self.columns): [field.place for field in direct],
             self.stored: [field.stored for field in direct],
         }
         layouts = {
-            count: _fills(list(zip(places, each, direct)), self.checked)
-            for count, each in spots.items()
+            count: _fills(list(zip(places, indices, direct)), self.checked)
+            for count, indices in spots.items()
         }
         show = _compile_show(self.shown, self.computed)
         return _compile_rows(layouts, self.own, self.check, len(direct), show)
@@ -391,20 +391,20 @@ class Projection:
     def values(self, row: Row) -> Iterator[RowValues]:
         """Yield the values of a row, once or for each unnested element; None = missing."""
         try:
-            own = self.own(row)
+            identity = self.own(row)
         except MessageNotFound:
             return  # of several stores the only one with the message does not answer any more
         if self.extractor is None:
-            yield own
+            yield identity
             return
         try:
-            for found in self.extractor.values(row):
-                yield (*own, *found)
+            for fields in self.extractor.values(row):
+                yield (*identity, *fields)
         except MessageNotFound:
             return  # the message was deleted after its columns were read
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-            yield (*own, *[None] * (self.width - OWN_WIDTH))
+            yield (*identity, *[None] * (self.width - OWN_WIDTH))
 
     def hits(self, row: Row) -> Iterator[bool]:
         """Yield for each unnested element of a stored row whether it satisfies the condition."""
@@ -412,15 +412,15 @@ class Projection:
 
     def hit(self, row: Row) -> bool:
         """Return whether a row, or one of its unnested elements, satisfies the condition."""
-        found = None if self.compiled is None else self.compiled(row)
-        return any(self.hits(row)) if found is None else bool(found)
+        rows = None if self.compiled is None else self.compiled(row)
+        return any(self.hits(row)) if rows is None else bool(rows)
 
     def rows(self, row: Row) -> Iterable[ResultRow]:
         """Return the rows of the result that a stored row gives; unnested elements lazily."""
         compiled = self.compiled
-        found = None if compiled is None else compiled(row)
-        if found is not None:
-            return found
+        rows = None if compiled is None else compiled(row)
+        if rows is not None:
+            return rows
         return (self._row(row, v) for v in self.values(row) if self.check(v) is True)
 
     def complete(self, values: RowValues) -> RowValues:
@@ -429,21 +429,21 @@ class Projection:
 
     def _row(self, row: Row, values: RowValues) -> ResultRow:
         values = self.complete(values)
-        found: list[object] = []
+        cells: list[object] = []
         made: dict[int, object] = {}
         for place, show in self.shown:
             if place is None:
-                found.append(None)
+                cells.append(None)
             elif place == KEY_PLACE and show is None:
-                found.append(row.key)
+                cells.append(row.key)
             elif show is None:
-                found.append(values[place])
+                cells.append(values[place])
             else:
                 # A column that is selected twice is computed once.
                 if place not in made:
                     made[place] = show(values[place])
-                found.append(made[place])
-        return tuple(found)
+                cells.append(made[place])
+        return tuple(cells)
 
 
 class Projections:
@@ -464,14 +464,14 @@ class Projections:
         self.names = [[selected.text] for selected in select.asked if selected is not None]
         if made:
             same = zip(*(projection.groups for projection in made.values()))
-            found = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
+            all_names = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
             # A column computed from fields of several definitions may be missing in all tables.
             self.names = [
                 names or ([] if selected is None or selected.is_path else [selected.text])
-                for names, selected in zip(found, select.asked)
+                for names, selected in zip(all_names, select.asked)
             ]
         # By the table itself: two stores may have tables of one name, with other columns.
-        self._made = {table: each.showing(self.names) for table, each in made.items()}
+        self._made = {table: projection.showing(self.names) for table, projection in made.items()}
 
     def __iter__(self) -> Iterator[Projection]:
         return iter(self._made.values())
@@ -499,17 +499,17 @@ def _place_computed(
     computed: list[Get] = []
     placed: list[tuple[Output, ...]] = []
     for group in groups:
-        found = []
+        outputs = []
         for output in group:
             if output.compute is not None:
                 computed.append(output.compute)
                 output = output._replace(place=width + len(computed) - 1)
-            found.append(output)
-        placed.append(tuple(found))
+            outputs.append(output)
+        placed.append(tuple(outputs))
     return tuple(placed), tuple(computed)
 
 
-def _shown_as(make: Get) -> Get:
+def _show_with(make: Get) -> Get:
     def show(value: object) -> object:
         if isinstance(value, list):
             return [show(element) for element in value]
@@ -534,7 +534,7 @@ def _duration(ns: int) -> object:
         return ns  # a computed duration may be too long for genpy
 
 
-_SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}
+_SHOWS = {"time": _show_with(_time), "duration": _show_with(_duration)}
 
 
 def _show_of(output: Output) -> Get | None:
@@ -549,7 +549,7 @@ def _show_of(output: Output) -> Get | None:
 
 def _compile_wire_rows(
     read: Callable[[bytes], list[Any]],
-    own: Callable[[Row], RowIdentity],
+    identify: Callable[[Row], RowIdentity],
     check: Check,
     show: _Show,
 ) -> _CompiledRows:
@@ -557,7 +557,7 @@ def _compile_wire_rows(
 
     def rows(row: Row) -> _ResultRows | None:
         try:
-            values = [*own(row), *read(row.wire)]
+            values = [*identify(row), *read(row.wire)]
         except (CorruptMessage, MessageNotFound):
             return None
         return [show(row, values)] if check(values) is True else _NONE
@@ -567,7 +567,7 @@ def _compile_wire_rows(
 
 def _compile_rows(
     layouts: dict[int, tuple[_Fill, _Fill]],
-    own: Callable[[Row], RowIdentity],
+    identify: Callable[[Row], RowIdentity],
     check: Check,
     fields: int,
     show: _Show,
@@ -576,7 +576,7 @@ def _compile_rows(
 
     Args:
         layouts: Number of columns of a row -> what sets its checked fields, and its other fields.
-        fields: Number of fields, whose values follow those of ``own``.
+        fields: Number of fields, whose values follow those of ``identify``.
     """
     blank = [None] * fields
 
@@ -586,7 +586,7 @@ def _compile_rows(
         if fills is None:
             return None
         try:
-            values: list[Any] = [*own(row), *blank]
+            values: list[Any] = [*identify(row), *blank]
             if not fills[0](held, values):
                 return None
             if check(values) is not True:
@@ -607,11 +607,11 @@ def _fills(parts: Sequence[_FieldPlace], checked: Container[int]) -> tuple[_Fill
     """
     number = any(place in checked and direct.code for place, _, direct in parts)
     first = [p for p in parts if p[0] in checked or (number and p[2].code)]
-    return _compile_fill(first), _compile_fill([part for part in parts if part not in first])
+    return _compile_fill(first), _compile_fill([p for p in parts if p not in first])
 
 
 def _compile_fill(parts: Sequence[_FieldPlace]) -> _Fill:
-    numbers = [part for part in parts if part[2].code]
+    numbers = [p for p in parts if p[2].code]
     if len(numbers) < 2:  # itemgetter returns a tuple only for two and more
         numbers = []
     others = [(place, at, d.decode) for place, at, d in parts if not (d.code and numbers)]
@@ -685,12 +685,12 @@ def _compile_show(shown: _ShownColumns, computed: Sequence[Get] = ()) -> _Show:
             values.append(row.key)
         if not gets:
             return take(values)
-        found = list(take(values))
+        cells = list(take(values))
         for n, get in gets:
-            found[n] = get(found[n])
+            cells[n] = get(cells[n])
         for n, first in copies:
-            found[n] = found[first]
-        return tuple(found)
+            cells[n] = cells[first]
+        return tuple(cells)
 
     return show
 

@@ -4,7 +4,7 @@
 
 ``analyse_select`` analyses such a statement when the fields of its topic are known.
 ``min(ranges)`` of an array is a value of each row, ``min(range_min)`` of a number is one value of
-all rows. A name in GROUP BY or ORDER BY may be an alias. Columns for grouping and ordering must be
+all rows. A name in GROUP BY or ORDER BY may be an alias. Columns for grouping and key must be
 computed even if they are not shown.
 
 ``make_groups`` makes the rows. Values are equal as in conditions, but here NaN equals NaN, and
@@ -50,7 +50,7 @@ def analyse_select(select: Select, tables: Sequence[Table]) -> Select:
     Analysing it again changes nothing.
 
     Raises:
-        InvalidQuery: A shown or ordering column has more than one value in a group.
+        InvalidQuery: A shown or key column has more than one value in a group.
     """
     if select.hidden or not (select.aggregates or select.group or select.order):
         return select
@@ -96,10 +96,10 @@ def _with_groups(select: Select) -> Select:
     terms = []
     for term in select.group:
         named = aliases.get(term.text) if isinstance(term, Path) else None
-        found = term if named is None or isinstance(named, Aggregate) else named
-        if is_constant(found):
+        group_term = term if named is None or isinstance(named, Aggregate) else named
+        if is_constant(group_term):
             raise StatementError(term.position, f"{term.text} is the same in every row")
-        terms.append(found)
+        terms.append(group_term)
     return replace(select, group=tuple(terms), hidden=tuple(map(Selected, terms)))
 
 
@@ -110,10 +110,10 @@ def _check_columns(select: Select) -> None:
     if select.columns is None:
         reason = "selects the terms of GROUP BY, and aggregates of other fields, instead of *"
         raise StatementError(select.group[0].position, f"a statement with GROUP BY {reason}")
-    known = {term.text for term in select.group}
+    texts = {term.text for term in select.group}
     for column in select.columns:
         what = column.what
-        if isinstance(what, Aggregate) or what.text in known:
+        if isinstance(what, Aggregate) or what.text in texts:
             continue
         if not select.group:
             one = select.aggregates[0]
@@ -129,22 +129,22 @@ def _with_order(select: Select) -> Select:
     placed, hidden = [], list(select.hidden)
     every = len(select.visible)
     limited = bool(select.group or select.aggregates or select.distinct)
-    for part in select.order:
-        place = _place(select, part.what)
-        if not isinstance(part.what, Aggregate) and is_constant(part.what):
-            raise StatementError(part.position, f"{part.what.text} is the same in every row")
+    for key in select.order:
+        place = _place(select, key.what)
+        if not isinstance(key.what, Aggregate) and is_constant(key.what):
+            raise StatementError(key.position, f"{key.what.text} is the same in every row")
         if place is None:
             if limited:
                 how = "DISTINCT" if select.distinct else "aggregates"
                 reason = f"with {how} rows are ordered by a column that is shown; select it, too"
-                raise StatementError(part.position, f"{part.what.text} is not selected: {reason}")
-            if isinstance(part.what, Aggregate):
+                raise StatementError(key.position, f"{key.what.text} is not selected: {reason}")
+            if isinstance(key.what, Aggregate):
                 reason = "is one value made of all rows and cannot order them; with GROUP BY it is "
                 reason += "one value of each group, by which groups are ordered if it is selected"
-                raise StatementError(part.position, f"{part.what.text} {reason}")
+                raise StatementError(key.position, f"{key.what.text} {reason}")
             place = every + len(hidden)
-            hidden.append(Selected(part.what))
-        placed.append(Ordering(part.what, part.descending, part.position, place))
+            hidden.append(Selected(key.what))
+        placed.append(Ordering(key.what, key.descending, key.position, place))
     return replace(select, order=tuple(placed), hidden=tuple(hidden))
 
 
@@ -167,23 +167,23 @@ class Aggregation:
         self._text = select.text
         self._asked = [column.what for column in select.columns or ()]
         self._totals: list[Count | _First] = [
-            TOTALS[asked.function]() if isinstance(asked, Aggregate) else _First()
-            for asked in self._asked
+            TOTALS[what.function]() if isinstance(what, Aggregate) else _First()
+            for what in self._asked
         ]
 
     def add(self, rows: Iterable[ResultRow]) -> None:
         """Add rows; InvalidQuery: the values of a field cannot be compared with each other."""
         for row in rows:
-            for total, asked, value in zip(self._totals, self._asked, row):
+            for total, what, value in zip(self._totals, self._asked, row):
                 try:
                     if value is not None:
                         total.add(value)
                 except TypeError as exc:
                     reason = (
                         "the definitions of this topic hold values of different kinds there, "
-                        f"which {asked.text.split('(')[0]} cannot compare ({exc})"
+                        f"which {what.text.split('(')[0]} cannot compare ({exc})"
                     )
-                    raise InvalidQuery(self._text, asked.position, reason) from None
+                    raise InvalidQuery(self._text, what.position, reason) from None
 
     def values(self) -> ResultRow:
         """Return the values of the columns for the rows so far."""
@@ -230,15 +230,15 @@ def make_groups(
     starts = [0, *accumulate(map(len, names))]
     shown = starts[len(select.visible)]
     if select.group:
-        rows = _grouped(select, rows, shown)
+        rows = _group(select, rows, shown)
     elif select.aggregates:
         rows = _total(select, rows)
     if select.distinct:
         rows = _distinct(select, rows, shown)
     if select.order:
-        places = [starts[part.place] for part in select.order]
+        places = [starts[key.place] for key in select.order]
         _check_single(select, names)
-        rows = _ordered(select, rows, places, most)
+        rows = _order(select, rows, places, most)
     return (row[:shown] for row in rows)
 
 
@@ -262,10 +262,10 @@ class _Memory:
 
 
 def _size(row: ResultRow) -> int:
-    found = getsizeof(row)
+    size = getsizeof(row)
     for value in row:
-        found += getsizeof(value) + (32 * len(value) if isinstance(value, list) else 0)
-    return found
+        size += getsizeof(value) + (32 * len(value) if isinstance(value, list) else 0)
+    return size
 
 
 def _total(select: Select, rows: Iterable[ResultRow]) -> Iterator[ResultRow]:
@@ -274,7 +274,7 @@ def _total(select: Select, rows: Iterable[ResultRow]) -> Iterator[ResultRow]:
     yield totals.values()
 
 
-def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[ResultRow]:
+def _group(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[ResultRow]:
     """Yield a row for each group, with the values of GROUP BY after its columns."""
     remedy = "group by less, or by time(1h), or choose fewer rows by WHERE KEY > …"
     memory = _Memory(select, select.group[0].position, remedy)
@@ -288,7 +288,7 @@ def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[
         if (
             times and groups and key[times[0]] != latest
         ):  # rows are sorted by KEY, so these groups are complete
-            yield from _finished(groups)
+            yield from _finish(groups)
             groups.clear()
             memory.clear()
         latest = key[times[0]] if times else None
@@ -296,10 +296,10 @@ def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[
             memory.take(row, TOTAL_BYTES * len(row))
             groups[key] = (Aggregation(select), by)
         groups[key][0].add((row,))
-    yield from _finished(groups)
+    yield from _finish(groups)
 
 
-def _finished(
+def _finish(
     groups: dict[tuple[Any, ...], tuple[Aggregation, ResultRow]],
 ) -> Iterator[ResultRow]:
     return ((*totals.values(), *by) for totals, by in groups.values())
@@ -330,16 +330,16 @@ _NAN = object()
 
 
 def _check_single(select: Select, names: Sequence[Sequence[str]]) -> None:
-    for part in select.order:
-        if len(names[part.place]) != 1:
-            reason = f"{part.what.text} has {len(names[part.place])} fields; name one of them"
-            raise InvalidQuery(select.text, part.position, reason)
+    for key in select.order:
+        if len(names[key.place]) != 1:
+            reason = f"{key.what.text} has {len(names[key.place])} fields; name one of them"
+            raise InvalidQuery(select.text, key.position, reason)
 
 
 Key = Tuple[Any, ...]
 
 
-def _ordered(
+def _order(
     select: Select, rows: Iterable[ResultRow], places: Sequence[int], most: int | None
 ) -> Iterator[ResultRow]:
     remedy = "choose fewer rows by WHERE KEY > …, select fewer columns, or add a LIMIT"
@@ -357,11 +357,11 @@ def _ordered(
                     memory.take(other)
             else:
                 memory.take(row)
-        found = _first(kept, most)
+        pairs = _first(kept, most)
     except TypeError as exc:
         reason = f"the definitions of this topic hold values of different kinds there ({exc})"
         raise InvalidQuery(select.text, select.order[0].position, reason) from None
-    yield from (row for _, row in found)
+    yield from (row for _, row in pairs)
 
 
 def _first(kept: list[tuple[Key, ResultRow]], most: int | None) -> list[tuple[Key, ResultRow]]:
@@ -370,7 +370,7 @@ def _first(kept: list[tuple[Key, ResultRow]], most: int | None) -> list[tuple[Ke
 
 
 def _key_of(order: Sequence[Ordering], places: Sequence[int]) -> Callable[[ResultRow], Key]:
-    pairs = [(place, part.descending) for place, part in zip(places, order)]
+    pairs = [(place, key.descending) for place, key in zip(places, order)]
     return lambda row: tuple([_rank(row[place], down) for place, down in pairs])
 
 

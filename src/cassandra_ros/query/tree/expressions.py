@@ -91,26 +91,26 @@ def compile_term(term: Term, find: OperandFinder) -> Computed | None:
     if isinstance(term, Literal):
         return _constant(term)
     if not isinstance(term, Call):
-        found = find(term, False)
-        return None if found is None else Computed(found.kind, itemgetter(found.place))
+        field = find(term, False)
+        return None if field is None else Computed(field.kind, itemgetter(field.place))
     if term.function in _OF_ARRAYS:
         return _of_array(term, find)
     if term.function == "time":
         _check_time_range(term.arguments[1])
     parts = _compile_all(term.arguments, find)
-    known = [part for part in parts if part is not None]
-    if len(known) < len(parts):
+    operands = [operand for operand in parts if operand is not None]
+    if len(operands) < len(parts):
         return None
-    known = _as_times(term, known)
-    families = tuple(family(part.kind) for part in known)
+    operands = _as_times(term, operands)
+    families = tuple(family(operand.kind) for operand in operands)
     made = _RULES.get((term.function, *families))
     if made is None:
-        raise StatementError(term.position, _reason(term, known))
+        raise StatementError(term.position, _reason(term, operands))
     kind, compute = made
     if not kind:  # the operands are numbers
-        kinds = [part.kind for part in known]
+        kinds = [operand.kind for operand in operands]
         kind = "float64" if any(k.startswith("float") for k in kinds) else INTEGER
-    gets = [part.get for part in known]
+    gets = [operand.get for operand in operands]
     return Computed(kind, _unary(compute, *gets) if len(gets) == 1 else _binary(compute, *gets))
 
 
@@ -171,9 +171,9 @@ def _as_times(call: Call, parts: list[Computed]) -> list[Computed]:
         return parts
     return [
         Computed("time", _always(fit_to_time(argument, argument.text)))
-        if isinstance(argument, Literal) and part.kind == "string"
-        else part
-        for argument, part in zip(call.arguments, parts)
+        if isinstance(argument, Literal) and operand.kind == "string"
+        else operand
+        for argument, operand in zip(call.arguments, parts)
     ]
 
 
@@ -182,10 +182,10 @@ def _always(value: object) -> Get:
 
 
 def _reason(call: Call, parts: list[Computed]) -> str:
-    kinds = " and ".join(kind_name(part.kind) for part in parts)
+    kinds = " and ".join(kind_name(operand.kind) for operand in parts)
     sign = {"neg": "-"}.get(call.function, call.function)
     reason = f"{sign} cannot be computed of {kinds}"
-    families = {family(part.kind) for part in parts}
+    families = {family(operand.kind) for operand in parts}
     if call.function == "time":
         return "the messages of this topic are kept under names, so KEY is no time"
     if families & {"time", "duration"} and "number" in families:
@@ -195,8 +195,8 @@ def _reason(call: Call, parts: list[Computed]) -> str:
 
 def _unary(compute: Get, get: Get) -> Get:
     def value(values: Any) -> Any:
-        found = get(values)
-        return None if found is None else compute(found)
+        x = get(values)
+        return None if x is None else compute(x)
 
     return value
 
@@ -261,21 +261,21 @@ def _length(ns: int) -> int | None:
     return ns if abs(ns) < BEYOND_NS else None
 
 
-def _scaled(ns: int, factor: Any) -> int | None:
+def _scale(ns: int, factor: Any) -> int | None:
     if isinstance(factor, float) and not math.isfinite(factor):
         return None
     return _length(round(ns * Fraction(factor)))
 
 
-def _shared(ns: int, parts: Any) -> int | None:
+def _divide_length(ns: int, parts: Any) -> int | None:
     if parts == 0 or parts != parts:
         return None
     return 0 if abs(parts) == math.inf else _length(round(ns / Fraction(parts)))
 
 
 def _check_time_range(length: Term) -> None:
-    known = isinstance(length, Literal) and _constant(length)
-    if not known or known.kind != "duration" or known.get(()) <= 0:
+    constant = isinstance(length, Literal) and _constant(length)
+    if not constant or constant.kind != "duration" or constant.get(()) <= 0:
         reason = f"time takes a duration longer than 0, as time(10s), not {length.text}"
         raise StatementError(length.position, reason)
 
@@ -291,10 +291,10 @@ _RULES: dict[tuple[str, ...], tuple[str, Callable[..., Any]]] = {
     ("-", "time", "duration"): ("time", operator.sub),
     ("-", "duration", "duration"): ("duration", lambda a, b: _length(a - b)),
     ("*", "number", "number"): ("", _number(_multiply)),
-    ("*", "duration", "number"): ("duration", _scaled),
-    ("*", "number", "duration"): ("duration", lambda factor, ns: _scaled(ns, factor)),
+    ("*", "duration", "number"): ("duration", _scale),
+    ("*", "number", "duration"): ("duration", lambda factor, ns: _scale(ns, factor)),
     ("/", "number", "number"): ("float64", _divide),
-    ("/", "duration", "number"): ("duration", _shared),
+    ("/", "duration", "number"): ("duration", _divide_length),
     ("/", "duration", "duration"): ("float64", _divide),
     ("neg", "number"): ("", operator.neg),
     ("neg", "duration"): ("duration", operator.neg),
@@ -313,18 +313,18 @@ def _of_array(call: Call, find: OperandFinder) -> Computed | None:
     if not isinstance(array, Path):
         reason = f"{function} takes an array here, and {array.text} is not an array"
         raise StatementError(array.position, reason)
-    found = find(array, None if function == "len" else True)
-    if found is None:
+    field = find(array, None if function == "len" else True)
+    if field is None:
         return None
     if function == "len":
-        if not found.array and found.kind != "string":
-            reason = f"{array.text} is {kind_name(found.kind)}: len is for arrays and text"
+        if not field.array and field.kind != "string":
+            reason = f"{array.text} is {kind_name(field.kind)}: len is for arrays and text"
             raise StatementError(call.position, reason)
-        return Computed(INTEGER, _unary(len, itemgetter(found.place)))
-    if function in ("sum", "avg") and found.kind in NO_NUMBERS:
-        reason = f"{array.text} holds values of type {found.kind}, and {function} is for numbers"
+        return Computed(INTEGER, _unary(len, itemgetter(field.place)))
+    if function in ("sum", "avg") and field.kind in NO_NUMBERS:
+        reason = f"{array.text} holds values of type {field.kind}, and {function} is for numbers"
         raise StatementError(call.position, reason)
-    total = "float64" if found.kind.startswith("float") else INTEGER
-    kind = {"sum": total, "avg": "float64"}.get(function, found.kind)
-    get = itemgetter(found.place)
+    total = "float64" if field.kind.startswith("float") else INTEGER
+    kind = {"sum": total, "avg": "float64"}.get(function, field.kind)
+    get = itemgetter(field.place)
     return Computed(kind, _unary(lambda values: total_of(function, values), get))

@@ -92,12 +92,12 @@ def fields_of(path: Path, definition: Definition) -> tuple[FieldRef, ...]:
     """
     steps: tuple[FieldStep, ...] = ()
     msg_type = definition.type
-    for number, part in enumerate(path.parts):
-        field = _field(definition, msg_type, part, steps)
-        _check_index(part, field, path)
+    for number, path_part in enumerate(path.parts):
+        field = _field(definition, msg_type, path_part, steps)
+        _check_index(path_part, field, path)
         if field.is_primitive:
             return (_primitive(path, number, steps, field),)
-        steps = (*steps, FieldStep(field.name, field.is_array, part.index))
+        steps = (*steps, FieldStep(field.name, field.is_array, path_part.index))
         msg_type = field.type
     return tuple(_leaves(definition, msg_type, steps))
 
@@ -108,17 +108,17 @@ def field_of(path: Path, definition: Definition, array: bool | None = False) -> 
 
     ``array``: whether it must be a whole array; None = either.
     """
-    found = fields_of(path, definition)
-    if len(found) != 1 or len(found[0].steps) > len(path.parts):
-        inside = " or ".join(ref.name for ref in found[:3])
+    refs = fields_of(path, definition)
+    if len(refs) != 1 or len(refs[0].steps) > len(path.parts):
+        inside = " or ".join(ref.name for ref in refs[:3])
         hint = f", like {inside}" if inside else " (it has none)"
         reason = f"is a message; name one of its fields{hint}"
-    elif array is True and not found[0].is_array:
-        reason = f"is a {found[0].type}, not an array; compare it with ="
-    elif array is False and found[0].is_array:
+    elif array is True and not refs[0].is_array:
+        reason = f"is a {refs[0].type}, not an array; compare it with ="
+    elif array is False and refs[0].is_array:
         reason = f"is an array; name an element, like {path.text}[0]"
     else:
-        return found[0]
+        return refs[0]
     raise StatementError(path.position, f"{path.text} {reason}")
 
 
@@ -128,56 +128,58 @@ def counted_field(path: Path, definition: Definition) -> FieldRef:
 
     For an array of messages it is their first field. StatementError: it is neither.
     """
-    found = fields_of(path, definition)
-    if found and len(found[0].steps) > len(path.parts):
-        step = found[0].steps[len(path.parts) - 1]
+    refs = fields_of(path, definition)
+    if refs and len(refs[0].steps) > len(path.parts):
+        step = refs[0].steps[len(path.parts) - 1]
         if not step.many or step.index is not None:
-            found = ()
-    if not found:
+            refs = ()
+    if not refs:
         reason = f"{path.text} is a message; len is for arrays and text"
         raise StatementError(path.position, reason)
-    return found[0]
+    return refs[0]
 
 
-def nearest(name: str, known: Sequence[str]) -> str:
+def nearest(name: str, names: Sequence[str]) -> str:
     """Return ' (did you mean …?)' with the most similar names, or '' without similar names."""
-    lowered = {other.lower(): other for other in known}
+    lowered = {other.lower(): other for other in names}
     close = difflib.get_close_matches(name.lower(), lowered, n=3, cutoff=0.6)
     longer = [other for other in lowered if len(name) > 1 and other.startswith(name.lower())]
-    return _meant([lowered[other] for other in dict.fromkeys(close + longer)])
+    return _did_you_mean([lowered[other] for other in dict.fromkeys(close + longer)])
 
 
-def _meant(names: Sequence[str]) -> str:
+def _did_you_mean(names: Sequence[str]) -> str:
     return f" (did you mean {' or '.join(names[:3])}?)" if names else ""
 
 
 def _field(
-    definition: Definition, msg_type: str, part: PathPart, steps: Sequence[FieldStep]
+    definition: Definition, msg_type: str, path_part: PathPart, steps: Sequence[FieldStep]
 ) -> Field:
     fields = {field.name: field for field in definition.specs[msg_type].fields}
-    if part.name in fields:
-        return fields[part.name]
+    if path_part.name in fields:
+        return fields[path_part.name]
     prefix, names = "".join(f"{step.name}." for step in steps), list(fields)
-    own = [word for word in OWN_WORDS if not steps and word == part.name.upper()]
-    deeper = [ref.name for ref in all_fields(definition) if ref.steps[-1].name == part.name]
-    hint = "" if own else nearest(part.name, names)
-    reason = f"{definition.type} has no field {prefix}{part.name}{hint or _meant(own + deeper)}; "
+    own_words = [word for word in OWN_WORDS if not steps and word == path_part.name.upper()]
+    deeper = [ref.name for ref in all_fields(definition) if ref.steps[-1].name == path_part.name]
+    hint = ("" if own_words else nearest(path_part.name, names)) or _did_you_mean(
+        own_words + deeper
+    )
+    reason = f"{definition.type} has no field {prefix}{path_part.name}{hint}; "
     reason += f"{prefix[:-1] or 'its'} fields are {', '.join(names[:20]) or 'none'}"
-    raise StatementError(part.position, reason)
+    raise StatementError(path_part.position, reason)
 
 
-def _check_index(part: PathPart, field: Field, path: Path) -> None:
-    if part.index is not None and not field.is_array:
-        raise StatementError(part.position, f"{part.name} in {path.text} is not an array")
-    if part.index is not None and field.length is not None and part.index >= field.length:
+def _check_index(path_part: PathPart, field: Field, path: Path) -> None:
+    if path_part.index is not None and not field.is_array:
+        raise StatementError(path_part.position, f"{path_part.name} in {path.text} is not an array")
+    if path_part.index is not None and field.length is not None and path_part.index >= field.length:
         reason = f"has {field.length} elements, counted from 0; {path.text} asks for more"
-        raise StatementError(part.position, f"{part.name} {reason}")
+        raise StatementError(path_part.position, f"{path_part.name} {reason}")
 
 
 def _primitive(path: Path, number: int, steps: tuple[FieldStep, ...], field: Field) -> FieldRef:
-    part, rest = path.parts[number], path.parts[number + 1 :]
-    whole = field.is_array and part.index is None
-    ref = FieldRef((*steps, FieldStep(field.name)), field.base, whole, part.index)
+    path_part, rest = path.parts[number], path.parts[number + 1 :]
+    whole = field.is_array and path_part.index is None
+    ref = FieldRef((*steps, FieldStep(field.name)), field.base, whole, path_part.index)
     if not rest:
         return ref
     if field.base in _TIME_PARTS and not whole and len(rest) == 1 and rest[0].index is None:

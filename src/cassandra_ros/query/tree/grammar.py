@@ -75,22 +75,22 @@ def grammar() -> Lark:
     try:
         kept = json.loads(_TABLES.read_text("ascii"), object_hook=_with_numbers)
     except FileNotFoundError:  # the package was copied without it
-        return _computed()
+        return _compute_parser()
     if kept["origin"] != _origin():
-        return _computed()
+        return _compute_parser()
     kept["data"]["options"]["transformer"] = _Builder()
     return Lark.load(kept)
 
 
 def write_tables() -> None:
     """Compute the tables and keep them in the file beside the grammar."""
-    data, memo = _computed().memo_serialize([lark.lexer.TerminalDef, lark.grammar.Rule])
+    data, memo = _compute_parser().memo_serialize([lark.lexer.TerminalDef, lark.grammar.Rule])
     data["options"] = {**data["options"], "transformer": None}
     kept = {"origin": _origin(), "data": data, "memo": memo}
     _TABLES.write_text(json.dumps(kept, separators=(",", ":")) + "\n", "ascii")
 
 
-def _computed() -> Lark:
+def _compute_parser() -> Lark:
     text, start = _GRAMMAR.read_text("utf-8"), ["statement", "lone_condition"]
     return Lark(text, parser="lalr", start=start, transformer=_Builder())
 
@@ -159,10 +159,10 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
         if not isinstance(field, Path):
             raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
-        for part in field.parts:
-            if part.index is not None:
-                reason = f"an index is on all elements of an array: leave [{part.index}] out"
-                raise StatementError(part.position, reason)
+        for path_part in field.parts:
+            if path_part.index is not None:
+                reason = f"an index is on all elements of an array: leave [{path_part.index}] out"
+                raise StatementError(path_part.position, reason)
         return Indexed(*topic, field)
 
     def selected(self, *columns: Selected) -> tuple[Selected, ...]:
@@ -214,7 +214,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         while level:
             if depth > MAX_DEPTH:
                 raise StatementError(0, f"the condition is nested deeper than {MAX_DEPTH}")
-            level, depth = [part for item in level for part in parts(item)], depth + 1
+            level, depth = [inner for item in level for inner in parts(item)], depth + 1
         return condition
 
     def either(self, *items: Expression) -> Expression:
@@ -233,13 +233,13 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def match(self, operand: Term, negated: _Not, operator: Token, value: Term) -> Expression:
         sign = operator.upper()
         if _quantifies(operand) and sign == "LIKE":
-            return _quantified(operand, [(sign, _value(value))], negated, False)
+            return _make_quantified(operand, [(sign, _value(value))], negated, False)
         return _unless(negated, Compare(_varying(operand), sign, _value(value)))
 
     def one_of(self, operand: Term, negated: _Not, *values: Term | None) -> Expression:
         listed = tuple(_value(v) for v in values if v is not None)
         if _quantifies(operand):
-            return _quantified(operand, [("=", value) for value in listed], negated, True)
+            return _make_quantified(operand, [("=", value) for value in listed], negated, True)
         return _unless(negated, OneOf(_varying(operand), listed))
 
     def in_list(self, operand: Term, negated: _Not, values: Literal) -> Expression:
@@ -251,7 +251,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def between(self, operand: Term, negated: _Not, low: Term, high: Term) -> Expression:
         ends = ((">=", low), ("<=", high))
         if _quantifies(operand):
-            return _quantified(operand, [(s, _part(end)) for s, end in ends], negated, False)
+            return _make_quantified(operand, [(s, _part(end)) for s, end in ends], negated, False)
         inside = All(tuple(compared(operand, s, end, end.position) for s, end in ends))
         return _unless(negated, inside)
 
@@ -278,7 +278,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return _OWN[str(token)](_at(token))
 
     def path(self, *parts: tuple[PathPart, ...]) -> Path:
-        names = tuple(name for part in parts for name in part)
+        names = tuple(name for group in parts for name in group)
         return Path(names, names[0].position)
 
     def part(self, token: Token, index: Token | None) -> tuple[PathPart, ...]:
@@ -325,10 +325,10 @@ def _integer(token: Token) -> int:
 def _duration(token: Token) -> DurationNs:
     if len(token) > MAX_DIGITS:
         raise StatementError(_at(token), f"a duration has at most {MAX_DIGITS} digits")
-    found = (Decimal(number) * UNITS[unit] for number, unit in _UNIT.findall(token))
+    terms = (Decimal(number) * UNITS[unit] for number, unit in _UNIT.findall(token))
     with localcontext() as context:
         context.prec = MAX_DIGITS + 20
-        ns = int(sum(found, Decimal()).to_integral_value())
+        ns = int(sum(terms, Decimal()).to_integral_value())
     return DurationNs(-ns if token.startswith("-") else ns)
 
 
@@ -337,7 +337,7 @@ _UNIT = re.compile(r"([0-9.]+)([a-z]+)")
 
 def _call(function: str, arguments: tuple[Term, ...], position: int) -> Call:
     parts = arguments if function in QUANTIFIERS else tuple(map(_part, arguments))
-    depth = 1 + max(part.depth if isinstance(part, Call) else 0 for part in parts)
+    depth = 1 + max(argument.depth if isinstance(argument, Call) else 0 for argument in parts)
     if depth > MAX_DEPTH:
         raise StatementError(position, f"what is computed is nested deeper than {MAX_DEPTH}")
     return Call(function, parts, position, depth)
@@ -397,7 +397,7 @@ def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
     if _quantifies(right) and not _quantifies(left):
         left, sign, right = right, _FLIPPED[sign], left
     if _quantifies(left):
-        return _quantified(left, [(sign, _part(right))], None, False)
+        return _make_quantified(left, [(sign, _part(right))], None, False)
     left, right = _part(left), _part(right)
     if isinstance(right, Path) and right.text.lower() == "null":
         reason = "found 'null' (what is missing is found by IS NULL)"
@@ -412,7 +412,7 @@ def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
     return Relate(left, sign, right, position)
 
 
-def _quantified(
+def _make_quantified(
     term: Term, tests: Sequence[tuple[str, Term]], negated: _Not, either: bool
 ) -> Expression:
     call = term

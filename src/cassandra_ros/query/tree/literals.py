@@ -52,7 +52,7 @@ def fit_to_kind(literal: Literal, kind: str, name: str, is_a: str) -> Comparable
     fit, wanted = _FITS.get(kind, (_number, "a number"))
     fitted = fit(literal.value)
     if fitted is None:
-        reason = f"{name} is {is_a}; compare it with {wanted}, not with {_shown(literal.value)}"
+        reason = f"{name} is {is_a}; compare it with {wanted}, not with {_show(literal.value)}"
         raise StatementError(literal.position, reason)
     return fitted
 
@@ -88,7 +88,7 @@ def fit_to_text(literal: Literal, name: str) -> str:
     """
     if isinstance(literal.value, str):
         return literal.value
-    reason = f"{name} is text; compare it with 'text', not {_shown(literal.value)}"
+    reason = f"{name} is text; compare it with 'text', not {_show(literal.value)}"
     raise StatementError(literal.position, reason)
 
 
@@ -150,7 +150,7 @@ _FITS: dict[str, tuple[Callable[[object], Comparable | None], str]] = {
 type."""
 
 
-def _shown(value: object) -> str:
+def _show(value: object) -> str:
     if isinstance(value, str):
         return f"text {value[:40]!r}"
     return value_text(value) if isinstance(value, (bool, DurationNs)) else repr(value)[:60]

@@ -105,8 +105,8 @@ def parse_statement(text: str, params: Sequence[object] = ()) -> Select | Change
     Raises:
         InvalidQuery: The text is not a statement, or the parameters do not fit.
     """
-    found = _parse(text, "statement")
-    parsed, limit = found if isinstance(found, tuple) else (found, None)
+    tree = _parse(text, "statement")
+    parsed, limit = tree if isinstance(tree, tuple) else (tree, None)
     terms = chain(terms_of_statement(parsed), [] if limit is None else [limit])
     bound = Binding(text, params, terms)
     try:
@@ -141,9 +141,9 @@ def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
     Raises:
         InvalidQuery: The text is not a condition, or the parameters do not fit.
     """
-    found: Expression = _parse(text, "lone_condition")
+    condition: Expression = _parse(text, "lone_condition")
     try:
-        return Binding(text, params, terms_of_condition(found)).expression(found)
+        return Binding(text, params, terms_of_condition(condition)).expression(condition)
     except StatementError as exc:
         raise InvalidQuery(text, exc.position, exc.reason) from None
 
@@ -164,20 +164,20 @@ def _parse(text: str, start: str) -> Any:
     if len(text) > MAX_STATEMENT:
         raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_STATEMENT} characters")
     try:
-        return (_parsed_before if len(text) <= SHORT_TEXT else _parsed)(text, start)
+        return (_parse_cached if len(text) <= SHORT_TEXT else _parse_text)(text, start)
     except StatementError as exc:
         raise InvalidQuery(text, exc.position, exc.reason) from None
     except UnexpectedInput as exc:
         raise InvalidQuery(text, *_explain(text, exc)) from None
 
 
-def _parsed(text: str, start: str) -> Any:
+def _parse_text(text: str, start: str) -> Any:
     from cassandra_ros.query.tree.grammar import grammar
 
     return grammar().parse(text, start=start)
 
 
-_parsed_before = lru_cache(maxsize=256)(_parsed)  # a tree is never changed
+_parse_cached = lru_cache(maxsize=256)(_parse_text)  # a tree is never changed
 
 
 def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
@@ -194,12 +194,12 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
             position = error.token.start_pos or 0
     last = (getattr(error, "token_history", None) or [None])[-1]
     previous = "" if last is None else last.type
-    found = _word(text[position:])
-    if found == "(" and previous == "NAME" and "DOT" in expected:
+    word = _word(text[position:])
+    if word == "(" and previous == "NAME" and "DOT" in expected:
         reason = f"there is no function {last}{nearest(str(last), FUNCTIONS)}; the functions are "
         return last.start_pos or 0, f"{reason}{', '.join(FUNCTIONS)}"
-    if found[:1] in "'\"" and found and text.count(found[0], position) == 1:
-        return position, f"the quote {found[0]} is not closed"
+    if word[:1] in "'\"" and word and text.count(word[0], position) == 1:
+        return position, f"the quote {word[0]} is not closed"
     if text.startswith("/*", position):
         return position, "the comment /* is not closed"
     keywords = [
@@ -207,35 +207,35 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
         for name in expected - {"_END"}
         if name.startswith("_") or name in _KEPT_KEYWORDS
     ]
-    shown = f"found {found!r}" if found else "the statement ends here"
+    shown = f"found {word!r}" if word else "the statement ends here"
     words = {**_WORDS, "NAME": "a name"} if "_ON" in expected else _WORDS
     wanted = ", ".join(sorted(words.get(name, name.lstrip("_")) for name in expected - _UNSAID))
-    hint = _hint(text[:position], found, expected, previous) or nearest(found, keywords)
+    hint = _hint(text[:position], word, expected, previous) or nearest(word, keywords)
     return position, f"{shown}{hint}; expected {wanted or 'something else'}"
 
 
-def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
+def _hint(before: str, word: str, expected: set[str], previous: str) -> str:
     """Return ' (…)' with the remedy for a known mistake, or ''.
 
-    ``found`` follows ``before`` and the token ``previous`` ('' = unknown), but is not ``expected``.
+    ``word`` follows ``before`` and the token ``previous`` ('' = unknown), but is not ``expected``.
     """
-    words = f"{before} {found}".upper().split()
+    words = f"{before} {word}".upper().split()
     instead = _INSTEAD.get(" ".join(words)) if expected & {"_SELECT", "_INDEX"} else None
     if instead:
         return f" ({instead})"
     if previous == "_DELETE":
         return " (messages are removed whole: DELETE FROM topic WHERE …)"
-    if previous == "STAR" and found == ",":
+    if previous == "STAR" and word == ",":
         return " (* stands alone: it gives KEY and every field)"
-    if found.upper() == "NULL" and "NUMBER" in expected:
+    if word.upper() == "NULL" and "NUMBER" in expected:
         return " (what is missing is found by IS NULL)"
     return ""
 
 
 def _word(text: str) -> str:
     """Return the first word or sign of a text, at most 40 characters."""
-    found = re.match(r"[\w/]{1,40}", text)
-    return found.group() if found else text[:1]
+    match = re.match(r"[\w/]{1,40}", text)
+    return match.group() if match else text[:1]
 
 
 class Binding:
@@ -261,14 +261,14 @@ class Binding:
         given = [term for term in terms if isinstance(term, (Literal, Call))]
         # Most statements have no parameters and stay unchanged.
         self._fixed = all(isinstance(term, Literal) and term.bound for term in given)
-        found = sorted(set(_placeholders(given)))  # BETWEEN repeats its operand in the tree
-        _check_params(text, found, params)
-        if len(found) != len(params):
-            at = found[len(params)] if len(params) < len(found) else len(text)
-            reason = f"the statement has {len(found)} parameters, {len(params)} were given"
+        positions = sorted(set(_placeholders(given)))  # BETWEEN repeats its operand in the tree
+        _check_params(text, positions, params)
+        if len(positions) != len(params):
+            at = positions[len(params)] if len(params) < len(positions) else len(text)
+            reason = f"the statement has {len(positions)} parameters, {len(params)} were given"
             raise InvalidQuery(text, at, reason)
         self._text = text
-        self._values = dict(zip(found, map(plain_value, params)))
+        self._values = dict(zip(positions, map(plain_value, params)))
         self._now = TimeNs(0 if self._fixed else time.time_ns())
 
     def select(self, select: Select) -> Select:
@@ -356,19 +356,21 @@ def terms_of_statement(statement: Select | Change) -> Iterator[Term]:
     if isinstance(statement, Select):
         yield from statement.group
         columns = [column.what for column in statement.columns or ()]
-        for what in columns + [part.what for part in statement.order]:
-            found = what.operand if isinstance(what, Aggregate) else what
-            yield from () if found is None else (found,)
+        for what in columns + [ordering.what for ordering in statement.order]:
+            operand = what.operand if isinstance(what, Aggregate) else what
+            yield from () if operand is None else (operand,)
 
 
 def _placeholders(terms: Iterable[Term]) -> Iterator[int]:
     for term in terms:
-        for part in inside(term):
-            if isinstance(part, Literal) and not part.bound:
-                yield from (part.position,) if part.made is None else _placeholders([part.made])
+        for inner in inside(term):
+            if isinstance(inner, Literal) and not inner.bound:
+                yield from (
+                    (inner.position,) if inner.made is None else _placeholders([inner.made])
+                )
 
 
-def _check_params(text: str, found: Sequence[int], params: object) -> None:
+def _check_params(text: str, positions: Sequence[int], params: object) -> None:
     unordered = (str, bytes, Mapping, AbstractSet)
     if isinstance(params, Collection) and not isinstance(params, unordered):
         return
@@ -377,4 +379,4 @@ def _check_params(text: str, found: Sequence[int], params: object) -> None:
     else:
         reason = f"a {type(params).__name__}"
     reason = f"the parameters are a list of values in the order of their ?, not {reason}"
-    raise InvalidQuery(text, min(found, default=0), reason)
+    raise InvalidQuery(text, min(positions, default=0), reason)

@@ -97,13 +97,13 @@ class NameSource(NamedTuple):
     runs: Callable[[], Sequence[str]]
 
 
-def complete(text: str, cursor: int, known: NameSource) -> Offers:
+def complete(text: str, cursor: int, source: NameSource) -> Offers:
     """Return the possible completions at a position of a statement.
 
     Args:
         text: The statement as typed so far; may continue after the cursor.
         cursor: The position, 0 to the length of the text; a larger one is reduced to that.
-        known: Known names.
+        source: Known names.
     """
     cursor = max(0, min(cursor, len(text), MAX_STATEMENT))
     before = text[:cursor]
@@ -112,7 +112,7 @@ def complete(text: str, cursor: int, known: NameSource) -> Offers:
     if tokens is None:
         return Offers(cursor, ())
     accepted, previous = tokens
-    offers = _offers(accepted, previous, text, known)
+    offers = _offers(accepted, previous, text, source)
     word = before[start:].lower()
     fitting = [_indexed(offer, before[start:]) for offer in offers if _fits(offer, word)]
     # Names that begin with the word come first; the sort is stable, to keep fields in wire order.
@@ -125,8 +125,8 @@ def _begin(before: str) -> int:
     """Return the start of the last word of a text, or of its last open quote."""
     if before.count("'") % 2:
         return before.rindex("'")
-    found = _WORD_BACKWARDS.match(before[::-1])
-    return len(before) - (0 if found is None else found.end())
+    match = _WORD_BACKWARDS.match(before[::-1])
+    return len(before) - (0 if match is None else match.end())
 
 
 def _fits(offer: Offer, word: str) -> bool:
@@ -165,14 +165,14 @@ def _tokens(before: str) -> tuple[set[str], Sequence[Token]] | None:
 
 
 def _offers(
-    accepted: set[str], previous: Sequence[Token], text: str, known: NameSource
+    accepted: set[str], previous: Sequence[Token], text: str, source: NameSource
 ) -> Sequence[Offer]:
     offers: list[Offer] = []
     if "TOPIC" in accepted:
-        offers += [Offer(_topic(name), "topic") for name in known.topics()]
-    offers += _values(previous, accepted, known)
+        offers += [Offer(_topic(name), "topic") for name in source.topics()]
+    offers += _values(previous, accepted, source)
     if "NAME" in accepted and "_ON" not in accepted and not _names_something(previous):
-        offers += _fields(text, known)
+        offers += _fields(text, source)
     if "FUNCTION" in accepted:
         wanted = _FUNCTIONS + (_QUANTIFIERS if _is_condition(previous) else ())
         offers += [Offer(f"{name}(", "function") for name in wanted]
@@ -196,16 +196,16 @@ def _is_condition(previous: Sequence[Token]) -> bool:
     return places[-1:] == ["_WHERE"]
 
 
-def _values(previous: Sequence[Token], accepted: set[str], known: NameSource) -> Sequence[Offer]:
+def _values(previous: Sequence[Token], accepted: set[str], source: NameSource) -> Sequence[Offer]:
     """Return the known nodes or runs if NODE or RUN is compared with a text."""
     if "TEXT" not in accepted or len(previous) < 2 or previous[-1].type != "OPERATOR":
         return ()
-    names = {"NODE": known.nodes, "RUN": known.runs}.get(previous[-2].type)
+    names = {"NODE": source.nodes, "RUN": source.runs}.get(previous[-2].type)
     every = () if names is None else names()
     return [Offer("'" + name.replace("'", "''") + "'", "value") for name in every]
 
 
-def _fields(text: str, known: NameSource) -> Sequence[Offer]:
+def _fields(text: str, source: NameSource) -> Sequence[Offer]:
     """Return the fields of the topic that the statement names; empty without a topic."""
     named = _TOPIC.search(text)
     if named is None:
@@ -214,7 +214,7 @@ def _fields(text: str, known: NameSource) -> Sequence[Offer]:
     if topic.startswith('"'):
         topic = topic[1:-1].replace('""', '"')
     fields: dict[str, str] = {}
-    for definition in known.definitions(topic):
+    for definition in source.definitions(topic):
         for ref in all_fields(definition):
             fields.setdefault(ref.name, ref.type + "[]" * ref.is_array)
     return [Offer(name, "field", kind) for name, kind in fields.items()]

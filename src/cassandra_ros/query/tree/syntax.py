@@ -92,12 +92,12 @@ class Path:
     @property
     def text(self) -> str:
         """Path as the name of a column."""
-        return path_text([(part.name, part.index) for part in self.parts])
+        return path_text([(path_part.name, path_part.index) for path_part in self.parts])
 
     @property
     def dotted(self) -> str:
         """Dotted name of the field without indexes."""
-        return ".".join(part.name for part in self.parts)
+        return ".".join(path_part.name for path_part in self.parts)
 
 
 def path_text(names: Sequence[tuple[str, int | None]]) -> str:
@@ -165,12 +165,12 @@ class Call:
     @property
     def text(self) -> str:
         """Expression as the name of a column."""
-        own = ARITHMETIC.get(self.function)
-        if own is None:
+        precedence = ARITHMETIC.get(self.function)
+        if precedence is None:
             shown = self.arguments[1:] if self.function == "time" else self.arguments
             return f"{self.function}({', '.join(argument.text for argument in shown)})"
         # A right operand of equal precedence keeps its parentheses.
-        texts = [_within(argument, own + n) for n, argument in enumerate(self.arguments)]
+        texts = [_within(argument, precedence + n) for n, argument in enumerate(self.arguments)]
         if len(texts) == 1:
             return f"-({texts[0]})" if texts[0].startswith("-") else f"-{texts[0]}"
         return f"{texts[0]} {self.function} {texts[1]}"
@@ -194,7 +194,7 @@ def inside(term: Term) -> Iterator[Term]:
 
 def is_constant(term: Term) -> bool:
     """Return whether a term has the same value in every row."""
-    return not any(isinstance(part, OPERANDS) for part in inside(term))
+    return not any(isinstance(inner_term, OPERANDS) for inner_term in inside(term))
 
 
 @dataclass(frozen=True)
@@ -390,8 +390,8 @@ def leaves(expression: Expression | None) -> Iterator[Leaf]:
     if isinstance(expression, LEAVES):
         yield expression
     elif expression is not None:
-        for part in parts(expression):
-            yield from leaves(part)
+        for inner in parts(expression):
+            yield from leaves(inner)
 
 
 def wants_array(leaf: Comparison) -> bool | None:
@@ -446,8 +446,8 @@ class Select:
     @property
     def aggregates(self) -> tuple[Aggregate, ...]:
         """Aggregates among its columns."""
-        found = (column.what for column in self.columns or ())
-        return tuple(what for what in found if isinstance(what, Aggregate))
+        terms = (column.what for column in self.columns or ())
+        return tuple(what for what in terms if isinstance(what, Aggregate))
 
     @property
     def visible(self) -> tuple[Selected | None, ...]:
