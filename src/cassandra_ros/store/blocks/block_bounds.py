@@ -31,25 +31,25 @@ class BlockZones(NamedTuple):
         return header.left == header.messages and not header.odd
 
 
-def ask_bounds(part: BucketRead, columns: Sequence[str]) -> PagedRead:
+def ask_bounds(bucket: BucketRead, columns: Sequence[str]) -> PagedRead:
     """Request the headers of the blocks of a bucket, with some of their zone columns."""
-    return part.ask(", ".join([HEADER, *map(quote_name, columns)]), PAGE_BLOCKS)
+    return bucket.ask(", ".join([HEADER, *map(quote_name, columns)]), PAGE_BLOCKS)
 
 
-def read_bounds(part: BucketRead, asked: PagedRead) -> Iterator[BlockZones]:
+def read_bounds(bucket: BucketRead, request: PagedRead) -> Iterator[BlockZones]:
     """Yield the requested blocks that hold messages to be read."""
-    for values in asked.rows():
-        header = read_block(part.table, values[:_WIDTH])
-        if header is not None and part.wants(header):
+    for values in request.rows():
+        header = read_block(bucket.table, values[:_WIDTH])
+        if header is not None and bucket.wants(header):
             yield BlockZones(header, values[_WIDTH:])
 
 
 def open_blocks(
-    part: BucketRead, headers: Sequence[BlockRow]
+    bucket: BucketRead, headers: Sequence[BlockRow]
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
     """Fetch and unpack blocks with known headers; blocks deleted meanwhile are left out."""
     for n in range(0, len(headers), AT_ONCE):
-        for row in part.blocks(part.fetch(headers[n : n + AT_ONCE]).page()):
-            opened = part.open(row)
+        for row in bucket.blocks(bucket.fetch(headers[n : n + AT_ONCE]).page()):
+            opened = bucket.open(row)
             if opened.left:
-                yield part, opened
+                yield bucket, opened

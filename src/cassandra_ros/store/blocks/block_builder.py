@@ -138,8 +138,8 @@ def _order(times: Sequence[int], seqs: Sequence[int]) -> list[int] | None:
     t, s = np.array(times, np.int64), np.array(seqs, np.int64)
     if ((t[1:] > t[:-1]) | ((t[1:] == t[:-1]) & (s[1:] > s[:-1]))).all():
         return None
-    found: list[int] = np.lexsort((s, t)).tolist()
-    return found
+    order: list[int] = np.lexsort((s, t)).tolist()
+    return order
 
 
 class BlockBuilder:
@@ -228,7 +228,7 @@ class BlockBuilder:
         times, numbers = received.tolist(), seqs.tolist()
         if alone or self._key_time is not None:
             every = zip(times, numbers, wires)
-            return next((n for n, each in enumerate(every) if not self.take(*each)), len(wires))
+            return next((n for n, args in enumerate(every) if not self.take(*args)), len(wires))
         at = 0
         with self._lock:
             while at < len(wires):
@@ -332,10 +332,10 @@ class Builders:
         """Return the builder for the messages of a connection."""
         key = (table.name, node, conn)
         with self._mutex:
-            found = self._known.get(key)
-            if found is None:
-                found = self._known[key] = BlockBuilder(table, node, conn, self, key_time, again)
-            return found
+            builder = self._known.get(key)
+            if builder is None:
+                builder = self._known[key] = BlockBuilder(table, node, conn, self, key_time, again)
+            return builder
 
     def seal(self, older_than: float = math.inf) -> None:
         """Close and pass on all blocks that began before a monotonic time, s."""

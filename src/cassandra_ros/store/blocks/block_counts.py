@@ -46,7 +46,7 @@ def headers(
         terms.append(("_last", ">=", encode_long(low)))
     if high is not None:
         ends[1] = high, MAX_SEQ
-    asked = table.select_range(
+    request = table.select_range(
         HEADER,
         table.place(node, bucket),
         (ends[0], ends[1]),
@@ -54,7 +54,7 @@ def headers(
         page_rows=PAGE_HEADERS,
         what="counting",
     )
-    for values in asked.rows():
+    for values in request.rows():
         row = read_block(table, values)
         if row is not None and (writers is None or row.writer in writers):
             yield row

@@ -40,11 +40,11 @@ class BlockDeletion:
         others = [row for row in rows if not (low <= row.t and row.last <= high)]
         cuts: dict[BlockKey, set[int]] = {}
         for block in opened(self._table, *self._where, iter(others)):
-            found = positions(block, low, high)
-            if len(found):
+            indices = positions(block, low, high)
+            if len(indices):
                 key = block.row.block_key
-                cuts[key] = set(found.tolist())
-                count += len(found)
+                cuts[key] = set(indices.tolist())
+                count += len(indices)
         self.cut(cuts)
         return count
 

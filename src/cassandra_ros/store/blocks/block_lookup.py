@@ -44,7 +44,7 @@ def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> PagedRead:
 
 
 def answer_one(
-    table: RowTable, position: Position, asked: PagedRead, *, any_seq: bool = False
+    table: RowTable, position: Position, request: PagedRead, *, any_seq: bool = False
 ) -> TableRow | None:
     """Return the row of a message in the requested blocks; None if they do not hold it.
 
@@ -53,19 +53,19 @@ def answer_one(
     """
     t, node, seq = position[:3]
     ends = ((t, MIN_SEQ), (t, MAX_SEQ)) if any_seq else ((t, seq), (t, seq))
-    found: list[TableRow] = []
+    rows: list[TableRow] = []
     problem: CorruptMessage | None = None
-    for row in read_blocks(table, asked.rows()):
+    for row in read_blocks(table, request.rows()):
         try:
             block = Block(table, node, row)
         except CorruptMessage as exc:
             problem = exc
             continue
         first = block.first(*ends)
-        found += [] if first is None else [first]
-    if problem is not None and not found:
+        rows += [] if first is None else [first]
+    if problem is not None and not rows:
         raise problem
-    return min(found, default=None)
+    return min(rows, default=None)
 
 
 class MessageFinder:
@@ -77,21 +77,21 @@ class MessageFinder:
 
     def find(self, position: Position) -> TableRow | None:
         """Return the row of a message, None if there is no such row; raises like answer_one."""
-        found = self._known(position)
-        if found is None:
+        row = self._find_kept(position)
+        if row is None:
             self._read(position)
-            found = self._known(position)
-        return found
+            row = self._find_kept(position)
+        return row
 
-    def _known(self, position: Position) -> TableRow | None:
+    def _find_kept(self, position: Position) -> TableRow | None:
         t, node, seq = position[:3]
         for number, (owner, block) in enumerate(self._kept):
             inside = block.row.t <= t <= block.row.last
             if owner == node and inside and writer_of(seq) == block.row.writer:
-                found = block.first((t, seq), (t, seq))
-                if found is not None:
+                row = block.first((t, seq), (t, seq))
+                if row is not None:
                     self._kept.insert(0, self._kept.pop(number))
-                    return found
+                    return row
         return None
 
     def _read(self, position: Position) -> None:

@@ -95,16 +95,16 @@ def read_block(table: RowTable, values: RawRow) -> BlockRow | None:
             "package wrote or updated it"
         ) from exc
     crc, nchunks, odd, gone, *data = values[6:]
-    own = t, seq, conn, size, last, count, decode_long(crc), decode_long(nchunks), odd == ODD
-    return BlockRow(*own, gone=_positions(gone, count), data=data[0] if data else None)
+    head = t, seq, conn, size, last, count, decode_long(crc), decode_long(nchunks), odd == ODD
+    return BlockRow(*head, gone=_positions(gone, count), data=data[0] if data else None)
 
 
 def read_blocks(
     table: RowTable, page: Iterable[RawRow], writers: frozenset[int] | None = None
 ) -> list[BlockRow]:
     """Return the blocks of a page that have one of these writers (None = all)."""
-    found = (read_block(table, values) for values in page)
-    blocks = [block for block in found if block is not None]
+    rows = (read_block(table, values) for values in page)
+    blocks = [block for block in rows if block is not None]
     return blocks if writers is None else [b for b in blocks if b.writer in writers]
 
 
@@ -112,8 +112,8 @@ def _positions(gone: bytes | None, count: int) -> Longs:
     if gone is None:
         return _NONE
     # The number of positions as an int, then each position after its length.
-    found = np.frombuffer(gone, ">i4", offset=4).reshape(-1, 2)[:, 1].astype(np.int64)
-    return found[(found >= 0) & (found < count)]
+    positions = np.frombuffer(gone, ">i4", offset=4).reshape(-1, 2)[:, 1].astype(np.int64)
+    return positions[(positions >= 0) & (positions < count)]
 
 
 _NONE: Longs = np.empty(0, np.int64)
@@ -158,9 +158,9 @@ class Block:
             self._open_chunked()
             return
         try:
-            self.unpacked = unpacked = _unpacked(row)
+            self.unpacked = unpacked = _unpack(row)
         except CorruptMessage as exc:
-            raise CorruptMessage(_damaged(table, node, row, str(exc))) from exc
+            raise CorruptMessage(_damage_text(table, node, row, str(exc))) from exc
         self.times, self.seqs, self.sizes = unpacked.times, unpacked.seqs, unpacked.sizes
         self._received = unpacked.received
 
@@ -191,7 +191,7 @@ class Block:
             return first
         # Messages with equal times are in the order of seq.
         last = int(self.times.searchsorted(t, "right"))
-        return first + sum(1 for each in self.seqs[first:last].tolist() if each < seq)
+        return first + sum(1 for other in self.seqs[first:last].tolist() if other < seq)
 
     def first(self, low: Order, high: Order) -> TableRow | None:
         """Return the row of the first message from low to high, both included, not deleted."""
@@ -200,16 +200,16 @@ class Block:
             place = int(next(iter(self.between(low, high)), len(self)))
         if place == len(self):
             return None
-        own = int(self.times[place]), int(self.seqs[place])
-        return self._row(place, *own) if own <= high else None
+        order = int(self.times[place]), int(self.seqs[place])
+        return self._row(place, *order) if order <= high else None
 
     def _row(self, place: int, t: int, seq: int) -> TableRow:
         # Like rows, without the parts that would take longer than all of this.
         row, wire = self.row, None if self.unpacked is None else self.unpacked.wire(place)
         sent = row.nchunks, row.crc if row.nchunks else 0, False, None, (wire,), ""
         received = -1 if self._received is None else int(self._received[place])
-        own = t, self._node, seq, self._table.name, row.conn, int(self.sizes[place])
-        return TableRow(*own, *sent, received, row.block_key, place)
+        head = t, self._node, seq, self._table.name, row.conn, int(self.sizes[place])
+        return TableRow(*head, *sent, received, row.block_key, place)
 
     def rows(self, places: Longs, *, bare: bool = False) -> list[TableRow]:
         """Return the rows of some of its messages; bare: without their bytes."""
@@ -246,19 +246,19 @@ class Block:
         return list(map(_new_row, values))  # one call per row would cost more than their bytes
 
 
-def _unpacked(row: BlockRow) -> Unpacked:
+def _unpack(row: BlockRow) -> Unpacked:
     if row.data is None:
         raise CorruptMessage("its bytes are missing")
     if crc32(row.data) != row.crc:
         raise CorruptMessage("wrong checksum")
-    found = unpack_block(row.data, row.messages, row.size)
-    ends = (int(found.times[0]), int(found.seqs[0]), int(found.times[-1])) if len(found) else ()
+    block = unpack_block(row.data, row.messages, row.size)
+    ends = (int(block.times[0]), int(block.seqs[0]), int(block.times[-1])) if len(block) else ()
     if ends != (row.t, row.seq, row.last):
         raise CorruptMessage("its messages are not those that its row names")
-    return found
+    return block
 
 
-def _damaged(table: RowTable, node: str, row: BlockRow, why: str) -> str:
+def _damage_text(table: RowTable, node: str, row: BlockRow, why: str) -> str:
     whose = f" of node {node}" if node else ""
     return (
         f"{row.messages} messages of topic {table.metadata.topic}{whose} from {row.t} to "
@@ -269,5 +269,5 @@ def _damaged(table: RowTable, node: str, row: BlockRow, why: str) -> str:
 
 def stand_in(table: RowTable, node: str, row: BlockRow) -> TableRow:
     """Return a row in place of a damaged block; reading its message raises the reason."""
-    own = row.t, node, row.seq, table.name, row.conn, row.size
-    return TableRow(*own, 0, 0, False, None, (), block=row.block_key)
+    head = row.t, node, row.seq, table.name, row.conn, row.size
+    return TableRow(*head, 0, 0, False, None, (), block=row.block_key)

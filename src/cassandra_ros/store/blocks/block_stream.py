@@ -123,8 +123,8 @@ class BucketRead:
 
     def blocks(self, page: Iterable[RawRow]) -> list[BlockRow]:
         """Return the blocks of a page that may hold messages to read."""
-        found = (read_block(self.table, values) for values in page)
-        return [block for block in found if block is not None and self.wants(block)]
+        rows = (read_block(self.table, values) for values in page)
+        return [block for block in rows if block is not None and self.wants(block)]
 
     def wants(self, block: BlockRow) -> bool:
         """Return whether a block may hold messages to read."""
@@ -232,21 +232,21 @@ class WaitingRows:
         """Take the rows up to a key, which is included."""
         self._sort()
         cut = _bisect(self._rows, (key[0], node, key[1] + 1))
-        found, self._rows = self._rows[:cut], self._rows[cut:]
-        return found
+        rows, self._rows = self._rows[:cut], self._rows[cut:]
+        return rows
 
     def beyond(self, t: int) -> list[TableRow]:
         """Take the rows after a time, newest first."""
         self._sort()
         cut = _bisect(self._rows, (t + 1,))
-        found, self._rows = self._rows[cut:], self._rows[:cut]
-        return found[::-1]
+        rows, self._rows = self._rows[cut:], self._rows[:cut]
+        return rows[::-1]
 
     def rest(self) -> list[TableRow]:
         """Take all rows."""
         self._sort()
-        found, self._rows = self._rows, []
-        return found
+        rows, self._rows = self._rows, []
+        return rows
 
 
 def _bisect(rows: Sequence[TableRow], bound: _Bound) -> int:
@@ -281,17 +281,17 @@ _Item = Union[BlockRow, OpenedBlock]
 class Headers:
     """Reads the headers of the blocks of a bucket, in the order of reading, as far as needed."""
 
-    def __init__(self, part: BucketRead) -> None:
-        self._part = part
-        self._count = FIRST_HEADERS if part.wanted else MAX_HEADERS
-        self._filters = part.filters
-        if part.filters is not None:
-            self._asked = self._filtered(part.filters)
+    def __init__(self, bucket: BucketRead) -> None:
+        self._bucket = bucket
+        self._count = FIRST_HEADERS if bucket.wanted else MAX_HEADERS
+        self._filters = bucket.filters
+        if bucket.filters is not None:
+            self._asked = self._ask_filters(bucket.filters)
         else:
-            self._asked = [part.ask(HEADER, self._count)]
+            self._asked = [bucket.ask(HEADER, self._count)]
         # Sent together with the headers, which saves a round trip.
-        early = part.wanted and part.filters is None
-        self._early = part.ask(WHOLE, part.early) if early else None
+        early = bucket.wanted and bucket.filters is None
+        self._early = bucket.ask(WHOLE, bucket.early) if early else None
         self.more = bool(self._asked)
         self.last: Order | None = None
         """Key of the last block whose header was read."""
@@ -302,18 +302,18 @@ class Headers:
         early, self._early = self._early, None
         return early
 
-    def _filtered(self, filters: Sequence[Terms]) -> list[PagedRead]:
+    def _ask_filters(self, filters: Sequence[Terms]) -> list[PagedRead]:
         try:
-            return [self._part.ask(HEADER, MAX_HEADERS, terms=terms) for terms in filters]
+            return [self._bucket.ask(HEADER, MAX_HEADERS, terms=terms) for terms in filters]
         except SchemaConflict as exc:
-            return self._unfiltered(exc)
+            return self._ask_all(exc)
 
-    def _unfiltered(self, exc: object) -> list[PagedRead]:
+    def _ask_all(self, exc: object) -> list[PagedRead]:
         """Read the headers of all blocks, if a server forbids filtering or is too slow at it."""
-        topic = self._part.table.metadata.topic
+        topic = self._bucket.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
         self._filters = None
-        return [self._part.ask(HEADER, MAX_HEADERS)]
+        return [self._bucket.ask(HEADER, MAX_HEADERS)]
 
     def read(self) -> list[BlockRow]:
         """Read the next page of headers."""
@@ -321,23 +321,23 @@ class Headers:
             return self._every()
         if not self._asked:
             self._count = min(MAX_HEADERS, GROWTH * self._count)
-            self._asked = [self._part.ask(HEADER, self._count, self._behind)]
-        asked = self._asked.pop()
-        page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
-        self.more = bool(page) and asked.more
+            self._asked = [self._bucket.ask(HEADER, self._count, self._behind)]
+        request = self._asked.pop()
+        page: Sequence[RawRow] = next((p for p in request.pages(ahead=False) if p), ())
+        self.more = bool(page) and request.more
         if self.more:
             self._behind, self.last = page[-1], key_of(page[-1])
-        return self._part.blocks(page)
+        return self._bucket.blocks(page)
 
     def _every(self) -> list[BlockRow]:
         """Read all headers that pass one of the filters, some 100 bytes a block."""
         self.more = False
         try:
-            rows = [row for asked in self._asked for row in asked.rows()]
+            rows = [row for request in self._asked for row in request.rows()]
         except DRIVER_ERRORS as exc:
-            rows = list(self._unfiltered(exc)[0].rows())
-        found = {block.key: block for block in self._part.blocks(rows)}
-        return [found[key] for key in sorted(found, reverse=self._part.reverse)]
+            rows = list(self._ask_all(exc)[0].rows())
+        by_key = {block.key: block for block in self._bucket.blocks(rows)}
+        return [by_key[key] for key in sorted(by_key, reverse=self._bucket.reverse)]
 
 
 class _Batch:
@@ -349,26 +349,26 @@ class _Batch:
     """
 
     def __init__(
-        self, part: BucketRead, taken: list[_Item], wanted: int, early: PagedRead | None = None
+        self, bucket: BucketRead, taken: list[_Item], wanted: int, early: PagedRead | None = None
     ) -> None:
-        self._part = part
+        self._bucket = bucket
         self.taken, self.wanted = taken, wanted
         self._open = [item for item in taken if isinstance(item, OpenedBlock)]
         headers = [item for item in taken if isinstance(item, BlockRow)]
         self._here: list[BlockRow] = []
         if early is not None:
             keys = {header.key for header in headers}
-            self._here = [row for row in part.blocks(early.page()) if row.key in keys]
+            self._here = [row for row in bucket.blocks(early.page()) if row.key in keys]
         here = {row.key for row in self._here}
         missing = [header for header in headers if header.key not in here]
-        self._asked = part.fetch(missing) if missing else None
+        self._asked = bucket.fetch(missing) if missing else None
 
     def blocks(self) -> Iterator[OpenedBlock]:
         """Yield the blocks, unpacked."""
         yield from self._open
-        came = [] if self._asked is None else self._part.blocks(self._asked.page())
+        came = [] if self._asked is None else self._bucket.blocks(self._asked.page())
         for row in self._here + came:
-            opened = self._part.open(row)
+            opened = self._bucket.open(row)
             if opened.left:
                 yield opened
 
@@ -380,25 +380,25 @@ class BlockQueue:
     descending order it is that of their last messages, because an earlier block may end later.
     """
 
-    def __init__(self, part: BucketRead, headers: Headers) -> None:
-        self._part = part
+    def __init__(self, bucket: BucketRead, headers: Headers) -> None:
+        self._bucket = bucket
         self._headers = headers
         self._known: list[tuple[Order, int, _Item]] = []
         self._count = 0
-        self._wanted, self._bytes = part.wanted, part.page_bytes
-        if part.wanted:
-            self._bytes = min(part.page_bytes, BLOCK_BYTES)
+        self._wanted, self._bytes = bucket.wanted, bucket.page_bytes
+        if bucket.wanted:
+            self._bytes = min(bucket.page_bytes, BLOCK_BYTES)
 
     def batch(self) -> _Batch | None:
         """Request the blocks that are needed next; None if all blocks were read."""
         while self._headers.more and not self._is_known():
             self.read()
         taken, wanted = self._take(), self._wanted
-        if self._part.wanted:
+        if self._bucket.wanted:
             self._wanted *= GROWTH
-            self._bytes = min(self._part.page_bytes, GROWTH * self._bytes)
+            self._bytes = min(self._bucket.page_bytes, GROWTH * self._bytes)
         early = self._headers.take_early()
-        return _Batch(self._part, taken, wanted, early) if taken else None
+        return _Batch(self._bucket, taken, wanted, early) if taken else None
 
     def read(self) -> None:
         """Read more headers."""
@@ -407,26 +407,26 @@ class BlockQueue:
 
     def _add(self, item: _Item) -> None:
         self._count += 1
-        turn = (-self._end(item), 0) if self._part.reverse else item.key
+        turn = (-self._end(item), 0) if self._bucket.reverse else item.key
         heapq.heappush(self._known, (turn, self._count, item))
 
     def _end(self, item: _Item) -> int:
         """Return the time of the last message of a block that is in the range to be read."""
-        return min(item.last, self._part.ends[1][0])
+        return min(item.last, self._bucket.ends[1][0])
 
     def rows(self, batch: _Batch) -> Iterator[list[TableRow]]:
         """Yield rows of each block; of a large block only as many as are wanted, the rest later."""
         for block in batch.blocks():
             taken = block
             if batch.wanted and block.block is not None:
-                taken = block.take(max(FEW_ROWS, batch.wanted), reverse=self._part.reverse)
+                taken = block.take(max(FEW_ROWS, batch.wanted), reverse=self._bucket.reverse)
                 if block.left:
                     self._add(block)
-            yield self._part.rows(taken)
+            yield self._bucket.rows(taken)
 
     def _is_known(self) -> bool:
         """Return whether no block with an unread header is needed before the first known one."""
-        if self._part.reverse:
+        if self._bucket.reverse:
             return bool(self._known) and -self._known[0][0][0] > self._unread_end
         # Only the next header tells up to which key the first block can be yielded. The rest of a
         # block of which messages were taken may begin after blocks whose headers are not read yet.
@@ -437,22 +437,22 @@ class BlockQueue:
     def _unread_end(self) -> int:
         """Latest time that a message of a block with an unread header may have."""
         last = self._headers.last
-        return MAX_SEQ if last is None else last[0] + self._part.table.metadata.span_ns
+        return MAX_SEQ if last is None else last[0] + self._bucket.table.metadata.span_ns
 
     def _take(self) -> list[_Item]:
         """Take the blocks that may hold the first message, and as many as are wanted."""
-        found: list[_Item] = []
+        items: list[_Item] = []
         count, size = self._wanted or MAX_SEQ, self._bytes
         first = self._known[0][0][0] if self._known else 0
-        if not self._part.reverse:  # earlier blocks may hold the first message too
-            first = max(first, self._part.ends[0][0])
-        while self._known and len(found) < MAX_AT_ONCE:
+        if not self._bucket.reverse:  # earlier blocks may hold the first message too
+            first = max(first, self._bucket.ends[0][0])
+        while self._known and len(items) < MAX_AT_ONCE:
             turn, _, item = self._known[0]
-            if found and turn[0] > first and (size < item.size or count <= 0):
+            if items and turn[0] > first and (size < item.size or count <= 0):
                 break
-            found.append(heapq.heappop(self._known)[2])
+            items.append(heapq.heappop(self._known)[2])
             count, size = count - item.left, size - item.size
-        return found
+        return items
 
     def bound_up(self, coming: _Batch | None) -> Order | None:
         """Return a key before which no further message comes; None = no message comes."""
@@ -465,8 +465,8 @@ class BlockQueue:
 
     def bound_down(self, coming: _Batch | None) -> int:
         """Return a time after which no further message comes in descending order."""
-        known = self._known_end(coming)
-        return max(known, self._unread_end) if self._headers.more else known
+        end = self._known_end(coming)
+        return max(end, self._unread_end) if self._headers.more else end
 
     def look(self, coming: _Batch | None) -> bool:
         """Read more headers if that may lower the bound; return whether headers were read."""
@@ -482,31 +482,31 @@ class BlockQueue:
         return max(first, default=MIN_SEQ)
 
 
-def upwards(part: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
+def upwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     """Yield the rows of a bucket in the order (t, seq)."""
     held, coming = WaitingRows(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):
             held.add(rows)
         # A read of few messages gets the rows at hand before more blocks are requested.
-        coming = None if part.wanted else needed.batch()
+        coming = None if bucket.wanted else needed.batch()
         bound = needed.bound_up(coming)
-        yield from held.rest() if bound is None else held.until(bound, part.node)
+        yield from held.rest() if bound is None else held.until(bound, bucket.node)
         coming = coming or needed.batch()
     yield from held.rest()
 
 
-def downwards(part: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
+def downwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     """Yield the rows of a bucket, newest first."""
     held, coming = WaitingRows(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):
             held.add(rows)
-        coming = None if part.wanted else needed.batch()
-        found = held.beyond(needed.bound_down(coming))
-        while held and not found and needed.look(coming):
-            found = held.beyond(needed.bound_down(coming))
-        yield from found
+        coming = None if bucket.wanted else needed.batch()
+        sure_rows = held.beyond(needed.bound_down(coming))
+        while held and not sure_rows and needed.look(coming):
+            sure_rows = held.beyond(needed.bound_down(coming))
+        yield from sure_rows
         coming = coming or needed.batch()
     yield from reversed(held.rest())
 
@@ -514,60 +514,60 @@ def downwards(part: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
 ROWS_AT_ONCE = 200
 
 
-def stream(part: BucketRead) -> Iterator[TableRow]:
+def stream(bucket: BucketRead) -> Iterator[TableRow]:
     """Yield the rows of a bucket in the order (t, seq), or newest first.
 
     Sends the request at once.
     """
-    if part.filters is None and not part.reverse and not part.wanted:
-        return _whole(part, _Pages(part))
-    needed = BlockQueue(part, Headers(part))
-    return downwards(part, needed) if part.reverse else upwards(part, needed)
+    if bucket.filters is None and not bucket.reverse and not bucket.wanted:
+        return _whole(bucket, _Pages(bucket))
+    needed = BlockQueue(bucket, Headers(bucket))
+    return downwards(bucket, needed) if bucket.reverse else upwards(bucket, needed)
 
 
-def opened(part: BucketRead) -> Iterator[OpenedBlock]:
+def opened(bucket: BucketRead) -> Iterator[OpenedBlock]:
     """Yield the blocks of a bucket in the order of their keys; sends the request at once."""
-    if part.filters is not None:
-        return _opened_by_headers(part, Headers(part))
-    return _opened(part, _Pages(part))
+    if bucket.filters is not None:
+        return _open_by_headers(bucket, Headers(bucket))
+    return _open_pages(bucket, _Pages(bucket))
 
 
-def _opened_by_headers(part: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
-    count = max(1, min(MAX_AT_ONCE, part.page_bytes // BLOCK_BYTES))
-    asked: PagedRead | None = None
+def _open_by_headers(bucket: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
+    count = max(1, min(MAX_AT_ONCE, bucket.page_bytes // BLOCK_BYTES))
+    request: PagedRead | None = None
     while headers.more:
-        known = headers.read()
-        for begin in range(0, len(known), count):
-            following = part.fetch(known[begin : begin + count])
-            if asked is not None:
-                yield from _opened_of(part, asked)
-            asked = following
-    if asked is not None:
-        yield from _opened_of(part, asked)
+        rows = headers.read()
+        for begin in range(0, len(rows), count):
+            next_request = bucket.fetch(rows[begin : begin + count])
+            if request is not None:
+                yield from _open_answer(bucket, request)
+            request = next_request
+    if request is not None:
+        yield from _open_answer(bucket, request)
 
 
-def _opened_of(part: BucketRead, asked: PagedRead) -> Iterator[OpenedBlock]:
-    for block in part.blocks(asked.page()):
-        found = part.open(block)
-        if found.left:
-            yield found
+def _open_answer(bucket: BucketRead, request: PagedRead) -> Iterator[OpenedBlock]:
+    for block in bucket.blocks(request.page()):
+        open_block = bucket.open(block)
+        if open_block.left:
+            yield open_block
 
 
-def _opened(part: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:
+def _open_pages(bucket: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:
     for blocks, _ in pages:
         for block in blocks:
-            found = part.open(block)
-            if found.left:
-                yield found
+            open_block = bucket.open(block)
+            if open_block.left:
+                yield open_block
 
 
 class _Pages:
     """All blocks of a bucket, page by page; the next page is requested ahead."""
 
-    def __init__(self, part: BucketRead) -> None:
-        self._part = part
-        self._count = max(1, part.page_bytes // BLOCK_BYTES)
-        self._asked: PagedRead | None = part.ask(WHOLE, self._count)
+    def __init__(self, bucket: BucketRead) -> None:
+        self._bucket = bucket
+        self._count = max(1, bucket.page_bytes // BLOCK_BYTES)
+        self._asked: PagedRead | None = bucket.ask(WHOLE, self._count)
 
     def __iter__(self) -> Iterator[tuple[list[BlockRow], Order | None]]:
         """Yield blocks, and a key that all blocks of later pages lie after.
@@ -575,36 +575,36 @@ class _Pages:
         None = the last page.
         """
         while self._asked is not None:
-            asked = self._asked
-            page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
+            request = self._asked
+            page: Sequence[RawRow] = next((p for p in request.pages(ahead=False) if p), ())
             # All are unpacked before the next page is read, so their bytes need not be copied.
-            blocks = self._part.blocks(page.views() if isinstance(page, RawPage) else page)
+            blocks = self._bucket.blocks(page.views() if isinstance(page, RawPage) else page)
             self._asked = None
-            if not page or not asked.more:
+            if not page or not request.more:
                 yield blocks, None
                 return
             if blocks:
                 mean = sum(block.size for block in blocks) // len(blocks) + 1
                 most = min(MAX_BLOCKS, GROWTH * self._count)
-                self._count = max(1, min(most, self._part.page_bytes // mean))
-            self._asked = self._part.ask(WHOLE, self._count, page[-1])
+                self._count = max(1, min(most, self._bucket.page_bytes // mean))
+            self._asked = self._bucket.ask(WHOLE, self._count, page[-1])
             yield blocks, key_of(page[-1])
 
 
-def _whole(part: BucketRead, pages: _Pages) -> Iterator[TableRow]:
+def _whole(bucket: BucketRead, pages: _Pages) -> Iterator[TableRow]:
     held = WaitingRows()
     for blocks, behind in pages:
         keys: list[Order | None] = [*(block.key for block in blocks[1:]), behind]
         for block, bound in zip(blocks, keys):
-            opened = part.open(block)
+            opened = bucket.open(block)
             if not held and opened.left and (bound is None or opened.last < bound[0]):
                 # The block overlaps no other. Its rows are made in small groups, because Python's
                 # collector walks through all rows that exist at the same time.
                 while opened.left:
-                    yield from part.rows(opened.take(ROWS_AT_ONCE, reverse=False))
+                    yield from bucket.rows(opened.take(ROWS_AT_ONCE, reverse=False))
                 continue
-            held.add(part.rows(opened))
-            yield from held.rest() if bound is None else held.until(bound, part.node)
+            held.add(bucket.rows(opened))
+            yield from held.rest() if bound is None else held.until(bound, bucket.node)
         if behind is None:
             break
     yield from held.rest()

@@ -155,10 +155,10 @@ def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
     return bool(cost(np.ascontiguousarray(parts.T).tobytes()) > _HARDLY * parts.size)
 
 
-def _counts(found: Mask) -> NDArray[np.int32]:
+def _counts(mask: Mask) -> NDArray[np.int32]:
     """Return the number of true values in each column of a matrix."""
     # Row by row: numpy would go along columns one byte at a time.
-    counts: NDArray[np.int32] = np.add.reduce(found, axis=0, dtype=np.int32)
+    counts: NDArray[np.int32] = np.add.reduce(mask, axis=0, dtype=np.int32)
     return counts
 
 
@@ -239,10 +239,10 @@ def decode_words(data: memoryview, sizes: Sequence[int]) -> bytes:
     words = codes.astype(_WORD)
     at += count
     for place, by in zip(places, (1, scale, None)):
-        found = _words_of_planes(data, at, len(place))
+        values = _words_of_planes(data, at, len(place))
         at += 4 * len(place)
-        words[place] = found if by is None else _as_floats(found, by)
-    return _joined(words.tobytes(), data[4 : 4 + loose], sizes)
+        words[place] = values if by is None else _as_floats(values, by)
+    return _join_words(words.tobytes(), data[4 : 4 + loose], sizes)
 
 
 def _words(wires: Sequence[bytes]) -> Words:
@@ -266,15 +266,15 @@ def _as_integers(words: Words, scale: int) -> tuple[Integers, Mask]:
     # A word that is not a number, or too large for an integer, does not come back as it was.
     with np.errstate(invalid="ignore", over="ignore"):
         integers = np.rint(words.view("<f4") * np.float32(scale)).astype(np.int32)
-    return integers, _divided(integers, scale) == words
+    return integers, _divide(integers, scale) == words
 
 
 def _as_floats(zigzag: Words, scale: int) -> Words:
     steps = (zigzag >> 1).view(np.int32) ^ -(zigzag & 1).view(np.int32)
-    return _divided(np.cumsum(steps, dtype=np.int32), scale)
+    return _divide(np.cumsum(steps, dtype=np.int32), scale)
 
 
-def _divided(integers: Integers, scale: int) -> Words:
+def _divide(integers: Integers, scale: int) -> Words:
     # IEEE 754 defines the result of a division: every machine computes the same bits.
     return (integers.astype("<f4") / np.float32(scale)).view(_WORD)
 
@@ -293,7 +293,7 @@ def _words_of_planes(data: memoryview, at: int, count: int) -> Words:
     return words
 
 
-def _joined(words: bytes, loose: memoryview, sizes: Sequence[int]) -> bytes:
+def _join_words(words: bytes, loose: memoryview, sizes: Sequence[int]) -> bytes:
     """Put the bytes of each message that are no words before its words."""
     if not loose:
         return words
@@ -390,7 +390,7 @@ class Unpacked:
     @cached_property
     def groups(self) -> tuple[Group, ...]:
         """The messages by size, the smallest first; no bytes are copied."""
-        found: list[Group] = []
+        groups: list[Group] = []
         at = 0
         for members in _members(self.sizes):
             size, count = int(self.sizes[members[0]]), len(members)
@@ -398,17 +398,17 @@ class Unpacked:
             at += size * count
             as_planes = _as_planes(count) and size not in self._as_rows
             planes = flat.reshape(size, count) if as_planes else flat.reshape(count, size).T
-            found.append(Group(size, members, planes, self._rises.get(size)))
-        return tuple(found)
+            groups.append(Group(size, members, planes, self._rises.get(size)))
+        return tuple(groups)
 
     @cached_property
-    def _turned(self) -> tuple[bytes, Longs]:
+    def _turned_bytes(self) -> tuple[bytes, Longs]:
         """All messages, those of a group one after the other, and the offset of each."""
         parts = [_turn(group.planes) for group in self.groups]
         starts, at = np.empty(len(self), np.int64), 0
-        for (size, members, *_), part in zip(self.groups, parts):
-            starts[members] = np.arange(at, at + len(part), size) if size else at
-            at += len(part)
+        for (size, members, *_), data in zip(self.groups, parts):
+            starts[members] = np.arange(at, at + len(data), size) if size else at
+            at += len(data)
         return parts[0] if len(parts) == 1 else b"".join(parts), starts
 
     def wire(self, position: int) -> bytes:
@@ -419,10 +419,10 @@ class Unpacked:
         at = int(self.sizes[self.sizes < size].sum())
         if size in self._rises:
             stored = np.frombuffer(self._body, np.uint8, size * count, at).reshape(size, count)
-            part, rises = stored[:, : place + 1], self._rises[size]
-            found = part[:, -1].copy()
-            found[rises] = np.add.reduce(part[rises], axis=1, dtype=np.uint8)
-            return found.tobytes()
+            head, rises = stored[:, : place + 1], self._rises[size]
+            message = head[:, -1].copy()
+            message[rises] = np.add.reduce(head[rises], axis=1, dtype=np.uint8)
+            return message.tobytes()
         if not _as_planes(count) or size in self._as_rows:
             return bytes(self._body[at + place * size : at + (place + 1) * size])
         return bytes(self._body[at + place : at + size * count : count])
@@ -432,10 +432,10 @@ class Unpacked:
         size = len(self._body) // max(1, len(self))
         if positions is None and size >= LONG and size in self._as_rows and len(self.groups) == 1:
             return [bytes(self._body[at : at + size]) for at in range(0, len(self._body), size)]
-        turned = "_turned" in self.__dict__
+        turned = "_turned_bytes" in self.__dict__
         if positions is not None and not turned and FEW_SHARE * len(positions) < len(self):
             return [self.wire(position) for position in positions.tolist()]
-        every, starts = self._turned
+        every, starts = self._turned_bytes
         ends = starts + self.sizes
         if positions is not None:
             starts, ends = starts[positions], ends[positions]
@@ -479,10 +479,10 @@ def pack_block(
         parts += [*wires[done:begin], *lay_out(wires[begin:end], _cost)]
         done = end
     parts += [*wires[done:], words or b""]
-    return _finished(flags, parts, len(t))
+    return _finish(flags, parts, len(t))
 
 
-def _finished(flags: int, parts: Sequence[BytesLike], messages: int) -> bytes:
+def _finish(flags: int, parts: Sequence[BytesLike], messages: int) -> bytes:
     """Return the bytes of a block, compressed at the level that a sample suggests."""
     # If the bytes are stored plain they are not copied again.
     stored = b"".join([bytes((VERSION, flags | _STORED)), *parts])
@@ -578,8 +578,8 @@ def _decode(
     parts += body[:rest], decode_words(body[rest:], words) if words else b""
     if not words and len(body) != rest:
         raise CorruptMessage(f"a block holds {len(body)} bytes where {rest} belong")
-    found = [part for part in parts if len(part)]
-    joined = memoryview(found[0] if len(found) == 1 else b"".join(found))
+    chunks = [chunk for chunk in parts if len(chunk)]
+    joined = memoryview(chunks[0] if len(chunks) == 1 else b"".join(chunks))
     return joined, frozenset(as_rows), rises
 
 
@@ -618,8 +618,8 @@ def _numbers(
     """Return columns of numbers that are stored one after the other: (columns, count)."""
     planes: Bytes = np.ndarray((columns, kind.itemsize, count), np.uint8, view, at)
     turned: Any = planes.transpose(0, 2, 1).copy()
-    found: Longs = turned.view(kind).reshape(columns, count)
-    return found
+    numbers: Longs = turned.view(kind).reshape(columns, count)
+    return numbers
 
 
 class _PerThread(threading.local):

@@ -42,17 +42,17 @@ def port_number(port: int | str | None, usual: str = "", source: str = "") -> in
         usual: Port of the cqlshrc; '' = the cqlshrc has no port.
         source: File that names ``usual``, for the error text.
     """
-    told = ""
+    hint = ""
     given: int | str = DEFAULT_PORT
     if port is not None and port != "":
         given = port
     elif from_environment("PORT"):
-        given, told = from_environment("PORT"), " (CASSANDRA_ROS_PORT)"
+        given, hint = from_environment("PORT"), " (CASSANDRA_ROS_PORT)"
     elif usual:
-        given, told = usual, f" ({source})"
+        given, hint = usual, f" ({source})"
     text = str(given)
     if not (text.isascii() and text.isdigit() and len(text) < 6 and 0 < int(text) < 65536):
-        raise InvalidOption(f"{given!r}{told} is not a port: a number from 1 to 65535")
+        raise InvalidOption(f"{given!r}{hint} is not a port: a number from 1 to 65535")
     return int(text)
 
 

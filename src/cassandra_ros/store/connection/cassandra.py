@@ -294,11 +294,11 @@ class Cassandra:
         except (*DRIVER_ERRORS, OSError) as exc:
             cluster.shutdown()
             raise ConnectionFailed(f"cannot connect to Cassandra at {self._where}: {exc}") from exc
-        for each in (session, raw_session):
+        for new_session in (session, raw_session):
             # Clocks of robots are wrong, and rows stamped by a fast clock would hide later rows.
-            each.use_client_timestamp = False
+            new_session.use_client_timestamp = False
             # Bounds how long preparing a statement takes, for which the driver has no argument.
-            each._default_timeout = self._connect_sec
+            new_session._default_timeout = self._connect_sec
         raw_session.client_protocol_handler = RawProtocolHandler
         return Link(cluster, session, raw_session)
 
@@ -420,14 +420,14 @@ class Cassandra:
         self, of: str, names: str, keyspace: str, tables: Sequence[str]
     ) -> list[list[CqlRow]]:
         """Read system_schema about each of some tables of a keyspace, like system_schema."""
-        found: dict[str, list[CqlRow]] = {table: [] for table in tables}
-        if found:
+        by_table: dict[str, list[CqlRow]] = {table: [] for table in tables}
+        if by_table:
             cql = f"SELECT table_name, {names} FROM system_schema.{of} WHERE keyspace_name = ? "
             what = f"reading the {of} of {keyspace}"
             rows = self.execute(f"{cql}AND table_name IN ?", (keyspace, list(tables)), what=what)
             for table, *values in rows:
-                found[table].append(tuple(values))
-        return [found[table] for table in tables]
+                by_table[table].append(tuple(values))
+        return [by_table[table] for table in tables]
 
     def execute_on_each(
         self, cql: str, params: Sequence[object] = (), *, what: str

@@ -145,7 +145,7 @@ def translate(exc: BaseException, what: str, nodes: str = "") -> CassandraRosErr
     if is_disk_full(exc):
         return StoreUnavailable(f"{what}: the disk of the store is full; make room there ({exc})")
     if isinstance(exc, Unauthorized):
-        return _denied(exc, what)
+        return _denial(exc, what)
     if isinstance(exc, AuthenticationFailed):
         return LoginFailed(f"{what}: the server refuses this user: {exc}")
     if isinstance(exc, NoHostAvailable):
@@ -177,7 +177,7 @@ _RIGHT = re.compile(r"User (.+?) has no ([A-Z_]+) permission on <(.*?)>")
 _ROLES = re.compile(r"User (.+?) does not have sufficient privileges")
 
 
-def _denied(exc: Unauthorized, what: str) -> AccessDenied:
+def _denial(exc: Unauthorized, what: str) -> AccessDenied:
     text = str(exc)
     match = _RIGHT.search(text)
     on_roles = _ROLES.search(text)

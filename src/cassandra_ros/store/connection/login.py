@@ -213,7 +213,7 @@ def _user(
     """Return user name and password; a later entry of the list below replaces an earlier one."""
     provider = _section(config, _SECTION)
     module, name = provider.get("module"), provider.get("classname")
-    is_provider = (module, name) in [("cassandra.auth", each) for each in PROVIDERS]
+    is_provider = (module, name) in [("cassandra.auth", classname) for classname in PROVIDERS]
     if not is_provider and (module or name):
         raise InvalidOption(
             f"[{_SECTION}] of {config_file}: {module or '(no module)'} {name or '(no classname)'} "
@@ -225,7 +225,7 @@ def _user(
                 f"{config_file} holds a password and others can read it; "
                 f"put it into a file of yours alone: {CREDENTIALS} (chmod 600)"
             )
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     for settings in (
         provider,
         _section(keys, name or PROVIDERS[0]),
@@ -233,8 +233,8 @@ def _user(
         _section(keys, "plain_text_auth"),
         {"username": username, "password": password},
     ):
-        found.update({key: text for key, text in settings.items() if text is not None})
-    return found.get("username") or None, found.get("password")
+        entries.update({key: text for key, text in settings.items() if text is not None})
+    return entries.get("username") or None, entries.get("password")
 
 
 def _section(config: configparser.ConfigParser, name: str) -> dict[str, str | None]:

@@ -26,9 +26,9 @@ def explain_refusal(
     """Return one clear error for the driver's errors of all hosts; None if no case here fits."""
     texts = " ".join(str(error) for error in errors.values())
     if any(isinstance(error, AuthenticationFailed) for error in errors.values()):
-        return _login_failed(login, where)
+        return _explain_login(login, where)
     if _UNTRUSTED in texts:
-        return _untrusted(texts, login, where)
+        return _explain_certificate(texts, login, where)
     if by_tls and any(_wants_ours(host, login.port) for host in login.hosts):
         return CertificateRefused(
             f"the Cassandra at {where} asks for a certificate of ours, and "
@@ -49,7 +49,7 @@ def explain_refusal(
     )
 
 
-def _login_failed(login: Login, where: str) -> LoginFailed:
+def _explain_login(login: Login, where: str) -> LoginFailed:
     place = login.files[1] or "~/.cassandra/credentials"
     if login.username is None:
         unused = f" ({login.ignored} is not used: others can read it)" if login.ignored else ""
@@ -63,7 +63,7 @@ def _login_failed(login: Login, where: str) -> LoginFailed:
     )
 
 
-def _untrusted(texts: str, login: Login, where: str) -> CertificateRefused:
+def _explain_certificate(texts: str, login: Login, where: str) -> CertificateRefused:
     trusted = login.tls.certfile if login.tls else "the ssl_context"
     if "expired" in texts or "not yet valid" in texts:
         when = "has expired" if "expired" in texts else "is not valid yet"

@@ -135,9 +135,9 @@ class Outage:
         if self._failing_since is None:
             return
         with self._mutex:
-            since, told = self._failing_since, self._told
+            since, told_at = self._failing_since, self._told
             self._failing_since = self._silent_since = self._told = None
-        if since is not None and told is not None:
+        if since is not None and told_at is not None:
             away = time.monotonic() - since
             text = "the store at %s answers again after %.0f s%s"
             _log.warning(text, self._where, away, _rest(self._waiting()))

@@ -390,8 +390,8 @@ class BufferedConnection(DefaultConnection):
         """Connect like the driver, and ask the server to push schema changes."""
         connection = super().factory(endpoint, timeout, *args, **kwargs)
         try:
-            asked = RegisterMessage(event_list=["SCHEMA_CHANGE"])
-            connection.wait_for_response(asked, timeout=timeout)
+            request = RegisterMessage(event_list=["SCHEMA_CHANGE"])
+            connection.wait_for_response(request, timeout=timeout)
         except BaseException:
             connection.close()
             raise
@@ -492,7 +492,7 @@ def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[BufferedCo
 
 def _addresses_of(name: str) -> set[object]:
     try:
-        return {found[4][0] for found in socket.getaddrinfo(name, None)}
+        return {info[4][0] for info in socket.getaddrinfo(name, None)}
     except (OSError, UnicodeError):  # maybe a host that we never connect to
         return set()
 
@@ -515,19 +515,19 @@ class _RawResultMessage(_DecodedResult):  # type: ignore[misc, valid-type]
         metadata: list[_Column] | None,
         policy: object,
     ) -> None:
-        known, body, start = _as_bytes(metadata), f.getvalue(), f.tell()
+        schema, body, start = _as_bytes(metadata), f.getvalue(), f.tell()
         kind = self.kind  # a reference to the message would be a cycle and keep its bytes in memory
 
         def cut() -> Sequence[RawRow]:
             rest, again = io.BytesIO(body), _RawResultMessage(kind)
             rest.seek(start)
             # The compiled parser calls recv_results_metadata of its class, so ours above runs.
-            _DecodedResult.recv_results_rows(again, rest, version, types, known, policy)
+            _DecodedResult.recv_results_rows(again, rest, version, types, schema, policy)
             rows: Sequence[RawRow] = again.parsed_rows
             return rows
 
         self.recv_results_metadata(f, types)
-        columns = self.column_metadata or known or ()
+        columns = self.column_metadata or schema or ()
         self.column_names = [column[2] for column in columns]
         self.column_types = [column[3] for column in columns]
         self.parsed_rows = RawPage(body, f.tell(), len(columns), cut)

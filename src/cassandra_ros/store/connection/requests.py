@@ -97,7 +97,7 @@ def retried(
     Raises:
         CassandraRosError: A retry cannot help, or the time is over.
     """
-    begun, later, told = time.monotonic(), FIRST_PAUSE_SEC, False
+    begun, later, is_logged = time.monotonic(), FIRST_PAUSE_SEC, False
     while True:
         try:
             answer = call()
@@ -120,9 +120,9 @@ def retried(
             if not is_busy(exc):
                 if outage is not None:
                     outage.failed(exc, trying_sec)
-                elif not told:
+                elif not is_logged:
                     _log.warning("%s; trying again", translate(exc, what))
-                told = True
+                is_logged = True
                 later = min(2 * later, LAST_PAUSE_SEC)
         _rest(pause, outage)
 
@@ -130,8 +130,8 @@ def retried(
 def _rest(seconds: float, outage: Outage | None) -> None:
     """Sleep for ``seconds``, or until the waits of the program have to end."""
     ends = time.monotonic() + seconds
-    while (left := ends - time.monotonic()) > 0 and (outage is None or outage.left_sec > 0):
-        time.sleep(min(left, LOOK_SEC))
+    while (rest_sec := ends - time.monotonic()) > 0 and (outage is None or outage.left_sec > 0):
+        time.sleep(min(rest_sec, LOOK_SEC))
 
 
 def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
@@ -346,22 +346,22 @@ class Flight:
         try:
             future = self._send(request.statement)
         except Exception as exc:  # noqa: BLE001 - told as its outcome
-            self._failed(exc, request)
+            self._fail(exc, request)
             return
         future.add_callbacks(
-            callback=self._succeeded,
+            callback=self._succeed,
             callback_args=(request,),
-            errback=self._failed,
+            errback=self._fail,
             errback_args=(request,),
         )
 
-    def _succeeded(self, _rows: object, request: _Request) -> None:
+    def _succeed(self, _rows: object, request: _Request) -> None:
         self._patience.answered()
         if self._outage is not None:
             self._outage.answered()
         self._settle(request, None)
 
-    def _failed(self, exc: BaseException, request: _Request) -> None:
+    def _fail(self, exc: BaseException, request: _Request) -> None:
         busy, now = is_busy(exc), time.monotonic()
         trying_sec = now - request.begun
         ends = now if self._is_over() else self._patience.ends(request.begun)

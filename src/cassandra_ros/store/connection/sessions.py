@@ -112,7 +112,7 @@ class Links:
         return self.current
 
     def _replace(self, old: Link, why: str) -> None:
-        new = self._made()
+        new = self._try_to_make()
         with self._changed:
             self._making = False
             self._pause = FIRST_PAUSE_SEC if new else min(2 * self._pause, LAST_PAUSE_SEC)
@@ -129,7 +129,7 @@ class Links:
             # The requests on the old link fail now and are sent again on the new one.
             old.cluster.shutdown()
 
-    def _made(self) -> Link | None:
+    def _try_to_make(self) -> Link | None:
         if not any(map(_accepts, self._places)):
             return None
         try:

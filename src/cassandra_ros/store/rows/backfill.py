@@ -63,19 +63,19 @@ class Backfill:
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
         table = self._table
         names = f'{table.listing()}, WRITETIME("_conn"), TTL("_conn")'
-        asked = table.select_range(names, table.place(node, bucket), page_rows=size)
+        request = table.select_range(names, table.place(node, bucket), page_rows=size)
         # Back-filling must not slow down recorders, so no page is requested ahead.
-        for page in asked.pages(ahead=False):
-            yield [self._written(node, each) for each in page if not table.is_rest(each)]
+        for page in request.pages(ahead=False):
+            yield [self._written_row(node, values) for values in page if not table.is_rest(values)]
 
-    def _written(self, node: str, values: RawRow) -> WrittenRow:
-        *own, timestamp, ttl = values
-        row = self._table.row_from_values(node, tuple(own))
+    def _written_row(self, node: str, values: RawRow) -> WrittenRow:
+        *columns, timestamp, ttl = values
+        row = self._table.row_from_values(node, tuple(columns))
         return WrittenRow(row, timestamp or b"", None if ttl is None else decode_long(ttl))
 
     def write(self, updates: Sequence[ShadowUpdate]) -> None:
         """Write the values for rows of one bucket; return when they are acknowledged."""
-        batches = [self._batch(part) for part in _parts(updates)]
+        batches = [self._batch(group) for group in _parts(updates)]
         for sent in [self._table.send(batch, "indexing") for batch in batches]:
             sent.page()
 
@@ -83,22 +83,22 @@ class Backfill:
         batch = BatchStatement(BatchType.UNLOGGED)
         batch.is_idempotent = True
         for (row, timestamp, ttl), value in updates:
-            left = 0 if ttl is None else ttl + LATER_SEC
+            ttl_sec = 0 if ttl is None else ttl + LATER_SEC
             statement = self._set_odd if value is None else self._set_value
-            head = (timestamp, encode_int(left), ODD if value is None else value)
+            head = (timestamp, encode_int(ttl_sec), ODD if value is None else value)
             batch.add(bind(statement, (*head, *self._table.key_of(row))))
         return batch
 
 
 def _parts(updates: Sequence[ShadowUpdate]) -> Iterator[list[ShadowUpdate]]:
     """Divide updates into batches of limited size."""
-    part: list[ShadowUpdate] = []
+    group: list[ShadowUpdate] = []
     size = 0
     for update in updates:
-        part.append(update)
+        group.append(update)
         size += 100 + len(update.value or b"")
-        if len(part) >= BATCH_ROWS or size >= BATCH_BYTES:
-            yield part
-            part, size = [], 0
-    if part:
-        yield part
+        if len(group) >= BATCH_ROWS or size >= BATCH_BYTES:
+            yield group
+            group, size = [], 0
+    if group:
+        yield group

@@ -60,9 +60,9 @@ def fetch_rows(wanted: Iterable[RowKey], ahead: int = AHEAD) -> Iterator[TableRo
         # The block of one message may hold the next ones too, so blocks are not requested ahead.
         return key, None if key.table.packed else _ask(key)
 
-    for key, asked in sent_ahead(map(sent, wanted), ahead):
-        if asked is not None:
-            row = _answer(key, asked)
+    for key, request in sent_ahead(map(sent, wanted), ahead):
+        if request is not None:
+            row = _answer(key, request)
         else:
             row = finders.setdefault(key.table.name, MessageFinder(key.table)).find(key.position)
         if row is not None:
@@ -85,20 +85,20 @@ def first_at(
     this time, one that this process has not met yet is not preferred, even if it is first in order.
     Of a table that many nodes write to, the directory is asked first.
     """
-    known = [
+    places = [
         (table, node)
         for table in tables
         for node in sorted(_probable(directory, table) if nodes is None else nodes)
     ]
-    row = _best(known, t)
+    row = _best(places, t)
     if row is not None or nodes is not None:
         return row
     others: list[tuple[RowTable, str]] = []
     for table, listed in [(table, _begin_listing(directory, table, t)) for table in tables]:
-        found = listed()
-        asked = {node for each, node in known if each is table}
-        others.extend((table, node) for node in sorted(found - asked))
-        table.known_nodes.update(found)
+        all_nodes = listed()
+        first_nodes = {node for other, node in places if other is table}
+        others.extend((table, node) for node in sorted(all_nodes - first_nodes))
+        table.known_nodes.update(all_nodes)
     return _best(others, t)
 
 
@@ -122,10 +122,10 @@ def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[]
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     keys = [RowKey(table, Position(t, node, 0, table.name)) for table, node in places]
-    asked = [(key, _ask(key, any_seq=True)) for key in keys]
-    rows = [_answer(*each, any_seq=True) for each in asked]
-    found = [row for row in rows if row is not None]
-    return min(found, key=lambda row: row[:4], default=None)
+    requests = [(key, _ask(key, any_seq=True)) for key in keys]
+    answers = [_answer(*request, any_seq=True) for request in requests]
+    rows = [row for row in answers if row is not None]
+    return min(rows, key=lambda row: row[:4], default=None)
 
 
 def beside(
@@ -171,11 +171,11 @@ def beside(
             ask(table, sorted(_nearest(table, found_rows, t, reverse)), way)
     if any(set(seen) != set(listed()) for seen, listed in slots):
         return None
-    found = [_best_side(*each) for each in zip(streams, ways)]
+    sides = [_best_side(*pair) for pair in zip(streams, ways)]
     low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)
     high = min((table.bucket_of(t) + 1) * table.metadata.bucket_ns for table in tables)
     # Outside of this range another table may have a nearer row in its next bucket.
-    near = [row for row in found if row is not None and low <= row.t < high]
+    near = [row for row in sides if row is not None and low <= row.t < high]
     return near if len(near) == len(ways) else None
 
 
@@ -206,30 +206,30 @@ def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
     return table.select_range(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
 
 
-def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
+def _best_side(requests: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
     """Return the nearest row of all nodes; None if there is no row, or the first is not known."""
     rows: list[TableRow] = []
-    for table, node, each in asked:
-        if not isinstance(each, PagedRead):
-            rows += _first_of(each)
+    for table, node, side in requests:
+        if not isinstance(side, PagedRead):
+            rows += _first_of(side)
             continue
-        values = each.page()
-        found = [table.row_from_values(node, v) for v in values if not table.is_rest(v)]
+        values = side.page()
+        side_rows = [table.row_from_values(node, v) for v in values if not table.is_rest(v)]
         # Descending order begins with the last of several rows with the same time.
-        if len(found) < len(values) or len(found) == 2 and found[0].t == found[1].t:
+        if len(side_rows) < len(values) or len(side_rows) == 2 and side_rows[0].t == side_rows[1].t:
             return None
-        rows += found[:1]
+        rows += side_rows[:1]
     return min(rows, key=lambda r: (-r.t if reverse else r.t, *r[1:4]), default=None)
 
 
 def _first_of(messages: Iterator[TableRow]) -> list[TableRow]:
     """Return the lowest of the first messages that have the same time, as a list of at most one."""
-    found: list[TableRow] = []
+    first_rows: list[TableRow] = []
     for row in messages:
-        if found and row.t != found[0].t:
+        if first_rows and row.t != first_rows[0].t:
             break
-        found.append(row)
-    return found and [min(found)]
+        first_rows.append(row)
+    return first_rows and [min(first_rows)]
 
 
 def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
@@ -242,11 +242,11 @@ def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
     return table.ask_row(place, *table.stored_order(t, seq))
 
 
-def _answer(key: RowKey, asked: PagedRead, *, any_seq: bool = False) -> TableRow | None:
+def _answer(key: RowKey, request: PagedRead, *, any_seq: bool = False) -> TableRow | None:
     table, position = key
     if table.packed:
-        return answer_one(table, position, asked, any_seq=any_seq)
-    for values in asked.page()[:1]:
+        return answer_one(table, position, request, any_seq=any_seq)
+    for values in request.page()[:1]:
         if not table.is_rest(values):
             return table.row_from_values(position.node, values, position.name)
     return None
@@ -312,8 +312,8 @@ def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
     """Return the keys of all rows of a table whose rows have names, in no order."""
 
     def keys(rows: Iterable[RawRow]) -> list[NamedKey]:
-        found = (_named_key(values, table.name) for values in rows)
-        return [key for key in found if nodes is None or key.position.node in nodes]
+        named_keys = (_named_key(values, table.name) for values in rows)
+        return [key for key in named_keys if nodes is None or key.position.node in nodes]
 
     statement = bind(table.select_names(), (), KEY_PAGE_ROWS)
     return table.collect(statement, keys, "listing the names of")
@@ -325,9 +325,9 @@ def some_names(table: RowTable, count: int) -> tuple[list[NamedKey], bool]:
     Args:
         count: Maximum number of keys, from 1.
     """
-    asked = table.send(bind(table.select_names(), (), count), "listing some names of")
-    rows = asked.page()
-    return [_named_key(values, table.name) for values in rows], not asked.more
+    request = table.send(bind(table.select_names(), (), count), "listing some names of")
+    rows = request.page()
+    return [_named_key(values, table.name) for values in rows], not request.more
 
 
 def _named_key(values: RawRow, table: str) -> NamedKey:
@@ -347,10 +347,10 @@ def versions(
 
 
 def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
-    asked = table.select_range(
+    request = table.select_range(
         table.listing(), table.place(node, name), page_rows=VERSION_PAGE_ROWS, reverse=reverse
     )
-    for values in asked.rows(ahead=False):
+    for values in request.rows(ahead=False):
         yield table.row_from_values(node, values, name)
 
 
@@ -360,11 +360,11 @@ def keys_by_shadow(
     """Yield the keys of the rows with an encoded value in a shadow column, in order of time."""
 
     def keys(rows: Iterable[RawRow]) -> list[RowKey]:
-        return [_wanted(table, values) for values in rows]
+        return [_row_key(table, values) for values in rows]
 
-    asked = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), FEW_ROWS))
-    row_keys = keys(asked.page())
-    if not asked.more:
+    request = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), FEW_ROWS))
+    row_keys = keys(request.page())
+    if not request.more:
         row_keys = [key for key in row_keys if nodes is None or key.position.node in nodes]
         yield from sorted(row_keys, key=lambda key: key.position)
         return
@@ -380,7 +380,7 @@ def keys_by_shadow(
         yield from sorted(row_keys, key=lambda key: key.position)
 
 
-def _wanted(table: RowTable, values: RawRow) -> RowKey:
+def _row_key(table: RowTable, values: RawRow) -> RowKey:
     node, t, seq = values
     position = Position(decode_long(t), (node or b"").decode(), decode_long(seq), table.name)
     return RowKey(table, position)

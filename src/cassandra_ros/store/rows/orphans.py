@@ -85,14 +85,14 @@ def _has_row(table: RowTable, values: RawRow) -> bool:
 
 
 def remove_orphans(
-    cassandra: Cassandra, table: RowTable, found: Iterable[Orphan], until_us: int
+    cassandra: Cassandra, table: RowTable, orphan_keys: Iterable[Orphan], until_us: int
 ) -> None:
     """Delete the chunks of messages without a row, if they were written before a time.
 
     So an import that is repeated at the same time, which writes new chunks and then the row, keeps
     them.
     """
-    params = ((until_us, *each) for each in found)
+    params = ((until_us, *orphan) for orphan in orphan_keys)
     what = f"removing orphans of topic {table.metadata.topic}"
     while some := list(islice(params, _PAGE_KEYS)):
         cassandra.execute_many(table.delete_one(chunks=True, older=True), some, what=what)

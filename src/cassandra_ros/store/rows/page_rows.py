@@ -67,8 +67,8 @@ class _Heads(NamedTuple):
         """Yield each row with its message; None if the row has to be read by itself."""
         t, seq, conn, sizes = (self.values[name].tolist() for name in ("t", "seq", "conn", "size"))
         fixed = repeat(0), repeat(0), repeat(False), wires, repeat(()), repeat("")
-        own = t, repeat(node), seq, repeat(table), conn, sizes
-        every = zip(*own, *fixed, self.received, repeat(None), repeat(0))
+        head = t, repeat(node), seq, repeat(table), conn, sizes
+        every = zip(*head, *fixed, self.received, repeat(None), repeat(0))
         rows = map(tuple.__new__, repeat(TableRow), every)
         if self.fits.all() and None not in wires and list(map(len, wires)) == sizes:  # type: ignore[arg-type]
             return rows
@@ -95,10 +95,10 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Sequence[TableRow
     wires = table.encoder.decode_together(page.body, heads.begins, heads.ends, sizes)
     if wires.count(None) == len(wires):
         return None
-    found: list[TableRow] = []
+    rows: list[TableRow] = []
     for n, row in enumerate(heads.rows(node, table.name, wires)):
         if row is not None:
-            found.append(row)
+            rows.append(row)
             continue
         at = int(heads.starts[n])
         if page.end(at) != heads.ends[n]:
@@ -106,10 +106,10 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Sequence[TableRow
         values = page.row(at)
         try:
             if not table.is_rest(values):
-                found.append(table.row_from_values(node, values))
+                rows.append(table.row_from_values(node, values))
         except CorruptMessage:
             return None  # the error is raised when the row is read by itself
-    return found
+    return rows
 
 
 def _read_heads(page: RawPage, with_received: bool) -> _Heads | None:

@@ -174,7 +174,7 @@ def _open(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
         return _Stream(piece, read, _ALL).rows()
     # The queries of a bucket share the memory of one.
     share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
-    return _found(piece, read, [_Stream(share, read, query) for query in chosen])
+    return _merge(piece, read, [_Stream(share, read, query) for query in chosen])
 
 
 def _blocks(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
@@ -182,15 +182,13 @@ def _blocks(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow
     chooser = read.chooser
     columns = None if read.columns is None else read.columns(piece.table)
     bare = columns is not None and not columns
-    part = _filtered_part(piece, read, chosen, bare=bare)
+    bucket = _read_of(piece, read, chosen, bare=bare)
     if chooser is None or chosen is None:
-        return stream(part)
-    return _counted(piece, chooser, stream(part))
+        return stream(bucket)
+    return _learn_rows(piece, chooser, stream(bucket))
 
 
-def _filtered_part(
-    piece: BucketPart, read: Read, chosen: Queries, *, bare: bool = False
-) -> BucketRead:
+def _read_of(piece: BucketPart, read: Read, chosen: Queries, *, bare: bool = False) -> BucketRead:
     """Return the read of a bucket of blocks: of those that pass one of some queries; None = all."""
     table, chooser = piece.table, read.chooser
     return BucketRead(
@@ -213,14 +211,14 @@ def _filtered_part(
 def _open_blocks(
     piece: BucketPart, read: Read, chosen: Queries
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-    part = _filtered_part(piece, read, chosen)
-    found = opened(part)
+    bucket = _read_of(piece, read, chosen)
+    blocks = opened(bucket)
     if read.chooser is not None and chosen is not None:
-        found = _learned(piece, read.chooser, found)
-    return zip(repeat(part), found)
+        blocks = _learn_blocks(piece, read.chooser, blocks)
+    return zip(repeat(bucket), blocks)
 
 
-def _learned(
+def _learn_blocks(
     piece: BucketPart, chooser: Chooser, blocks: Iterator[OpenedBlock]
 ) -> Iterator[OpenedBlock]:
     count = 0
@@ -230,7 +228,9 @@ def _learned(
     chooser.learn(piece.table, piece.rows, count)
 
 
-def _counted(piece: BucketPart, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
+def _learn_rows(
+    piece: BucketPart, chooser: Chooser, rows: Iterator[TableRow]
+) -> Iterator[TableRow]:
     count = 0
     for row in rows:
         count += 1
@@ -238,13 +238,13 @@ def _counted(piece: BucketPart, chooser: Chooser, rows: Iterator[TableRow]) -> I
     chooser.learn(piece.table, piece.rows, count)
 
 
-def _found(piece: BucketPart, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
+def _merge(piece: BucketPart, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
     """Yield the rows of several queries in one order, without duplicates."""
     count, last = 0, None
-    found = [stream.rows() for stream in streams]
-    merged = heapq.merge(*found, key=_place, reverse=read.reverse)
-    single = len(found) == 1  # one query returns no duplicates, and rows in order
-    for row in found[0] if single else merged:
+    row_streams = [stream.rows() for stream in streams]
+    merged = heapq.merge(*row_streams, key=_place, reverse=read.reverse)
+    single = len(row_streams) == 1  # one query returns no duplicates, and rows in order
+    for row in row_streams[0] if single else merged:
         if single:
             count += 1
             yield row
@@ -281,7 +281,7 @@ class _Stream:
         self.refused = False  # True = the server refused the query, so all rows are read
         # A writer id is the upper half of a _seq.
         writers = read.whose.writers
-        self._heads = None if writers is None else {encode_int(each) for each in writers}
+        self._heads = None if writers is None else {encode_int(writer) for writer in writers}
         self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
         self._early: tuple[Sequence[RawRow], PagedRead | None] = ((), None)
         self._asked = self._start(None)
@@ -318,9 +318,9 @@ class _Stream:
 
     def rows(self) -> Iterator[TableRow]:
         if self._turned:
-            found = self._found()
-            if found is not None:
-                yield from sorted(found, key=_place, reverse=True)
+            rows = self._read_turned()
+            if rows is not None:
+                yield from sorted(rows, key=_place, reverse=True)
                 return
             # All rows, from the newest on.
             self._asked = self._all("an index does not give its rows, or too many", None)
@@ -330,7 +330,7 @@ class _Stream:
                 for page in self._asked.pages():
                     if self._keyed and self._crowds(page):
                         break
-                    yield from self._made(self._fetched(page) if self._keyed else page)
+                    yield from self._rows_of(self._fetch(page) if self._keyed else page)
                     last = self._asked.last
                 else:
                     return
@@ -347,51 +347,51 @@ class _Stream:
         span = abs(decode_long(keys[-1][0]) - decode_long(keys[0][0]))
         return len(keys) > KEYED_SHARE * self._piece.listed_in(span)
 
-    def _found(self) -> list[TableRow] | None:
+    def _read_turned(self) -> list[TableRow] | None:
         """Read the rows of an index to reverse them; None if that fails or they are too many."""
-        found: list[TableRow] = []
+        rows: list[TableRow] = []
         try:
             for page in self._asked.pages():
-                found.extend(self._made(page))
-                if len(found) > TURNED_PAGES * self._piece.page_rows:
+                rows.extend(self._rows_of(page))
+                if len(rows) > TURNED_PAGES * self._piece.page_rows:
                     return None
         except DRIVER_ERRORS as exc:
             _log.info("topic %s by an index: %s", self._piece.table.metadata.topic, exc)
             return None
-        return found
+        return rows
 
-    def _made(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
+    def _rows_of(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
         table, node, heads = self._piece.table, self._piece.node, self._heads
         if self._together and heads is None and isinstance(values, RawPage):
             rows = rows_of_page(table, node, values)
             if rows is not None:
                 return rows
         if heads is not None:
-            values = (each for each in values if (each[1] or b"")[:4] in heads)
+            values = (row for row in values if (row[1] or b"")[:4] in heads)
         if table.metadata.ttl:
-            values = (each for each in values if not table.is_rest(each))
+            values = (row for row in values if not table.is_rest(row))
         return map(partial(table.row_from_values, node), values)
 
-    def _fetched(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
+    def _fetch(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
         """Fetch the rows of keys, in their order."""
         for n in range(0, len(keys), self._at_once):
-            part = keys[n : n + self._at_once]
-            early, asked = self._early
-            if asked is None or early != part:
-                asked = self._ask_these(part)
-            yield from asked.page()
+            batch = keys[n : n + self._at_once]
+            early, request = self._early
+            if request is None or early != batch:
+                request = self._ask_these(batch)
+            yield from request.page()
 
     def _fetch_early(self, keys: Sequence[RawRow]) -> None:
         """Request the first rows as soon as their keys are here, on the driver's thread."""
         if keys and not self._crowds(keys):
-            part = keys[: self._at_once]
-            self._early = part, self._ask_these(part)
+            batch = keys[: self._at_once]
+            self._early = batch, self._ask_these(batch)
 
     def _these(self) -> PreparedStatement:
         return self._piece.table.select_these(self._columns, reverse=self._read.reverse)
 
-    def _ask_these(self, part: Sequence[RawRow]) -> PagedRead:
-        values = (*self._place, _pairs(part))
+    def _ask_these(self, batch: Sequence[RawRow]) -> PagedRead:
+        values = (*self._place, _pairs(batch))
         return self._piece.table.send(bind(self._these(), values, self._at_once))
 
 
@@ -451,10 +451,10 @@ def read_blocks(
 def _order(row: TableRow, sign: int) -> _Order:
     if sign > 0:
         return row[:4]
-    return (-row.t, _inverted(row.node), -row.seq, _inverted(row.table))
+    return (-row.t, _invert(row.node), -row.seq, _invert(row.table))
 
 
-def _inverted(text: str) -> tuple[int, ...]:
+def _invert(text: str) -> tuple[int, ...]:
     # The last number is above all others, so of two texts the longer one comes first.
     return (*(-ord(c) for c in text), 1)
 
@@ -490,19 +490,21 @@ def foresee(
     directory: Directory, tables: Sequence[RowTable], read: Read
 ) -> tuple[list[BucketPart], int]:
     """Return the buckets in which a read probably begins, and the number of nodes of its tables."""
-    found: list[BucketPart] = []
+    buckets: list[BucketPart] = []
     streams = 0
     for table in tables:
-        known, groups = directory.first.get((table.name, read.reverse), ((), ()))
-        nodes = [node for node in known if read.whose.nodes is None or node in read.whose.nodes]
+        first_nodes, groups = directory.first.get((table.name, read.reverse), ((), ()))
+        nodes = [
+            node for node in first_nodes if read.whose.nodes is None or node in read.whose.nodes
+        ]
         streams += len(nodes)
         low, high = _first_and_last(read, table)
-        found += [
+        buckets += [
             BucketPart(0, table, group[0].node, group[0].bucket, group)
             for group in groups
             if group[0].node in nodes and low <= group[0].bucket <= high and _may_hold(read, group)
         ]
-    return (found if len(found) <= MOST_FIRST else []), streams
+    return (buckets if len(buckets) <= MOST_FIRST else []), streams
 
 
 def _note_first(
@@ -599,7 +601,7 @@ class _BucketQueue(Generic[_T]):
         """Request the buckets that are probably read first, before the directory answers."""
         pieces, streams = foresee(directory, tables, self._read)
         self._share(streams)
-        for piece in map(self._sized, pieces):
+        for piece in map(self._set_size, pieces):
             self._early[_request(piece)] = self._open(piece, self._read, None)
 
     def _look(self) -> None:
@@ -618,7 +620,7 @@ class _BucketQueue(Generic[_T]):
             self._next = next(self._pieces, None)
         if self._unnoted:
             met = [(table, walk.met) for table, walk in self._unnoted]
-            _note_first(self._directory, met, [each for each, _, _ in self._asked], self._read)
+            _note_first(self._directory, met, [bucket for bucket, _, _ in self._asked], self._read)
             self._unnoted = []
         piece, rows, filtered = self._asked.popleft()
         self._look()
@@ -634,10 +636,10 @@ class _BucketQueue(Generic[_T]):
             return True
         if not self._few or not piece.rows or len(self._asked) > AHEAD:
             return False
-        listed = self._listed + sum(each.listed for each, _, _ in self._asked)
+        listed = self._listed + sum(other.listed for other, _, _ in self._asked)
         return piece.start == self._asked[0][0].start or listed < self._rows
 
-    def _sized(self, piece: BucketPart) -> BucketPart:
+    def _set_size(self, piece: BucketPart) -> BucketPart:
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
         page_bytes = self._page_bytes(piece.table)
         return piece._replace(
@@ -650,7 +652,7 @@ class _BucketQueue(Generic[_T]):
         if not piece.rows:
             self._asked.append((piece, iter(()), False))
             return
-        piece, chooser = self._sized(piece), self._read.chooser
+        piece, chooser = self._set_size(piece), self._read.chooser
         chosen = None if chooser is None else chooser.choose(piece.table, piece.rows)
         early = self._early.pop(_request(piece), None) if chosen is None else None
         rows = self._open(piece, self._read, chosen) if early is None else early

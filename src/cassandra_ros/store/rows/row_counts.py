@@ -55,14 +55,14 @@ def _rows(
     table: RowTable, node: str, bucket: int, low: int, high: int, columns: str
 ) -> Iterator[RawRow]:
     """Yield columns, encoded, of the rows of a bucket with t in [low, high]."""
-    asked = table.select_range(
+    request = table.select_range(
         columns,
         table.place(node, bucket),
         ((low, MIN_SEQ), (high, MAX_SEQ)),
         page_rows=COUNT_PAGE_ROWS,
         what="counting",
     )
-    return filterfalse(table.is_rest, asked.rows())
+    return filterfalse(table.is_rest, request.rows())
 
 
 def count_part(
@@ -75,21 +75,21 @@ def count_part(
     """Return the number of messages of writers (None = all) with a time in [low, high]."""
     if table.packed:
         return count_blocks(table, node, bucket, *ends, writers)
-    found = scan_keys(table, node, bucket, *ends)
-    return sum(writers is None or writer_of(seq) in writers for _, seq, *_ in found)
+    keys = scan_keys(table, node, bucket, *ends)
+    return sum(writers is None or writer_of(seq) in writers for _, seq, *_ in keys)
 
 
 def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
     """Count the rows that one bucket has now, by writer id."""
-    found: dict[int, BucketTotals] = {}
+    by_writer: dict[int, BucketTotals] = {}
     if table.packed:
-        for block, left in measure(table, node, bucket):
-            totals = found.setdefault(block.writer, BucketTotals())
-            totals.add(left.count, left.bytes, left.largest, (left.t_min, left.t_max), block.odd)
-        return found
+        for block, rest in measure(table, node, bucket):
+            totals = by_writer.setdefault(block.writer, BucketTotals())
+            totals.add(rest.count, rest.bytes, rest.largest, (rest.t_min, rest.t_max), block.odd)
+        return by_writer
     for t, seq, size, chunked, odd in scan_keys(table, node, bucket, -(2**63), MAX_SEQ):
-        found.setdefault(split_seq(seq)[0], BucketTotals()).count(t, size, chunked, odd)
-    return found
+        by_writer.setdefault(split_seq(seq)[0], BucketTotals()).count(t, size, chunked, odd)
+    return by_writer
 
 
 def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list[BucketRow]:
@@ -110,11 +110,11 @@ def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list
             settled.extend(group)
             continue
         # The entries that a recount compares itself with are read before it.
-        left = {row.writer for row in group if not row.closed and row.age_sec > STALE_SEC}
-        found = directory.find(table.name, node, bucket) if left else []
+        writers = {row.writer for row in group if not row.closed and row.age_sec > STALE_SEC}
+        entries = directory.find(table.name, node, bucket) if writers else []
         counted = recount(table, node, bucket)
-        for row in found:
-            if row.writer in left and row.age_sec > STALE_SEC:
+        for row in entries:
+            if row.writer in writers and row.age_sec > STALE_SEC:
                 _write_back(directory, table, row, counted.get(row.writer, BucketTotals()))
         for row in group:
             totals = counted.get(row.writer, BucketTotals())

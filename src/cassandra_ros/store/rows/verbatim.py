@@ -161,45 +161,48 @@ class VerbatimCopy:
         self._names = ", ".join([*map(quote_name, columns.read), *extra])
         self._width = len(columns.read)
 
-    def copy(self, part: Part) -> None:
+    def copy(self, partition: Part) -> None:
         """Copy the rows of a partition; return when the target has acknowledged all of them.
 
         Raises:
             CassandraRosError: Rows could not be stored.
         """
         source = self._source
-        low, high = part.ends
+        low, high = partition.ends
         if source.packed:  # an earlier block may reach into the range
             low = (max(low[0] - source.metadata.span_ns, ALL[0][0]), low[1])
-        asked = source.select_range(
+        request = source.select_range(
             self._names,
-            source.place(part.node, part.where),
+            source.place(partition.node, partition.where),
             (low, high),
-            page_rows=part.page_rows,
+            page_rows=partition.page_rows,
             what="copying",
         )
-        for page in asked.pages():
-            self._copy_page(part, [row for row in page if self._takes(part, row)])
+        for page in request.pages():
+            self._copy_page(partition, [row for row in page if self._takes(partition, row)])
             self._check()
         self._flight.wait()
         self._check()
 
-    def _takes(self, part: Part, row: RawRow) -> bool:
+    def _takes(self, partition: Part, row: RawRow) -> bool:
         if row[2] is None:  # only the value of an index, or a mark of a deletion, is left
             return False
-        if part.since_us and decode_long(row[self._width]) <= part.since_us:
+        if partition.since_us and decode_long(row[self._width]) <= partition.since_us:
             return False
-        if self._last_at >= 0 and decode_long(row[self._last_at]) < part.ends[0][0]:
+        if self._last_at >= 0 and decode_long(row[self._last_at]) < partition.ends[0][0]:
             return False
-        if part.keys is not None and (decode_long(row[0]), decode_long(row[1])) not in part.keys:
+        if (
+            partition.keys is not None
+            and (decode_long(row[0]), decode_long(row[1])) not in partition.keys
+        ):
             return False
-        return part.writers is None or self._writer(row) in part.writers
+        return partition.writers is None or self._writer(row) in partition.writers
 
     def _writer(self, row: RawRow) -> int:
         at = self._arrival_at if self._arrival_at >= 0 else 1
         return writer_of(decode_long(row[at]))
 
-    def _copy_page(self, part: Part, rows: Sequence[RawRow]) -> None:
+    def _copy_page(self, partition: Part, rows: Sequence[RawRow]) -> None:
         for conn in {row[2] for row in rows}:
             self._destination.connect(decode_long(conn))
         groups: dict[int, list[RawRow]] = {}
@@ -209,25 +212,25 @@ class VerbatimCopy:
         whole: dict[int, list[RawRow]] = {}
         for bucket, group in groups.items():
             for writer in {self._writer(row) for row in group}:
-                self._destination.open(part.node, bucket, writer)
-            whole[bucket] = [row for row in group if self._copy_chunks(part, bucket, row)]
+                self._destination.open(partition.node, bucket, writer)
+            whole[bucket] = [row for row in group if self._copy_chunks(partition, bucket, row)]
         if any(row[self._chunks_at] is not None for row in rows):
             self._flight.wait()  # a row is the commit mark of its chunks
             self._check()
         for bucket, group in whole.items():
             for batch in _batches(group):
-                self._send(part, bucket, batch)
+                self._send(partition, bucket, batch)
 
-    def _place(self, part: Part, bucket: int) -> tuple[bytes, bytes]:
-        return self._target.place(part.node, part.where if self._target.named else bucket)
+    def _place(self, partition: Part, bucket: int) -> tuple[bytes, bytes]:
+        return self._target.place(partition.node, partition.where if self._target.named else bucket)
 
-    def _copy_chunks(self, part: Part, bucket: int, row: RawRow) -> bool:
+    def _copy_chunks(self, partition: Part, bucket: int, row: RawRow) -> bool:
         """Send the chunks of a row, if it has any; return whether the row must be sent, too."""
         if self._gone_at >= 0 and row[self._gone_at] is not None:
             # What was deleted here stays there: a block that is there is not written again.
             key = decode_long(row[0]), decode_long(row[1])
             there = self._target.select_range(
-                KEYS, self._place(part, bucket), (key, key), page_rows=1
+                KEYS, self._place(partition, bucket), (key, key), page_rows=1
             )
             if any(there.rows()):
                 return False
@@ -237,15 +240,15 @@ class VerbatimCopy:
         self._schema.ensure_chunk_table(self._target)
         expires = self._expires and row[self._width + 1] is not None
         insert = self._target.insert_stored_chunk() if expires else self._target.insert_chunk()
-        own = row[0] or b"", row[1] or b""
-        place = self._place(part, bucket)
-        where = source.place(part.node, part.where)
-        select = bind(source.select_chunks(), (*where, *own), PAGE_CHUNKS)
-        asked, numbers = source.send(select, "copying"), set()
-        for number, data in asked.rows():
-            values = [*place, *own, number or b"", data or b""]
+        row_key = row[0] or b"", row[1] or b""
+        place = self._place(partition, bucket)
+        where = source.place(partition.node, partition.where)
+        select = bind(source.select_chunks(), (*where, *row_key), PAGE_CHUNKS)
+        request, numbers = source.send(select, "copying"), set()
+        for number, data in request.rows():
+            values = [*place, *row_key, number or b"", data or b""]
             if expires:
-                values.append(encode_int(self._left(row) + CHUNK_TTL_MARGIN_SEC))
+                values.append(encode_int(self._lifetime_sec(row) + CHUNK_TTL_MARGIN_SEC))
             self._submit(bind(insert, values), len(data or b""))
             numbers.add(number)
         if len(numbers) == wanted:
@@ -256,21 +259,21 @@ class VerbatimCopy:
         )
         return False
 
-    def _left(self, row: RawRow) -> int:
+    def _lifetime_sec(self, row: RawRow) -> int:
         """Return the remaining lifetime of a row, s."""
         return max(1, decode_long(row[self._width + 1]))
 
-    def _send(self, part: Part, bucket: int, rows: Sequence[RawRow]) -> None:
-        target, place = self._target, self._place(part, bucket)
+    def _send(self, partition: Part, bucket: int, rows: Sequence[RawRow]) -> None:
+        target, place = self._target, self._place(partition, bucket)
         insert = target.insert_stored(self._columns.write, expires=self._expires)
         statements, nbytes = [], 0
         for row in rows:
             values = [*place, *(UNSET if v is None else v for v in row[: self._width])]
             if self._expires:
-                values.append(encode_int(self._left(row)))
+                values.append(encode_int(self._lifetime_sec(row)))
             statements.append((True, insert.query_id, values))
             nbytes += _size(row)
-            self._count(part.node, bucket, row)
+            self._count(partition.node, bucket, row)
         bound = BoundStatement(insert)
         bound.values = list(place)
         batch = BatchStatement(BatchType.UNLOGGED)
@@ -317,11 +320,11 @@ class VerbatimCopy:
 def row_keys(table: RowTable, node: str, bucket: int, writers: frozenset[int]) -> dict[Order, int]:
     """Return the keys of the rows, or blocks, of writers in a bucket → their write times, us."""
     names = f'{KEYS}, WRITETIME("_conn")'
-    asked = table.select_range(names, table.place(node, bucket), page_rows=KEY_PAGE_ROWS)
-    found = ((decode_long(row[0]), decode_long(row[1]), row[2]) for row in asked.rows())
+    request = table.select_range(names, table.place(node, bucket), page_rows=KEY_PAGE_ROWS)
+    keys = ((decode_long(row[0]), decode_long(row[1]), row[2]) for row in request.rows())
     return {
         (t, seq): decode_long(written)
-        for t, seq, written in found
+        for t, seq, written in keys
         if written is not None and writer_of(seq) in writers
     }
 

@@ -149,7 +149,7 @@ class OpenBucket:
         table: RowTable,
         node: str,
         bucket: int,
-        known: bool,
+        must_recount: bool,
         name: str = "",
         *,
         shadows: Shadows | None = None,
@@ -158,7 +158,7 @@ class OpenBucket:
         self.table = table
         self.node = node
         self.bucket = bucket
-        self.must_recount = known
+        self.must_recount = must_recount
         """Whether the bucket has rows that this object did not count, so its totals are not
         final."""
         self.totals = BucketTotals()
@@ -249,10 +249,10 @@ class OpenBucket:
             self.batch.nbytes += len(wire) + _ROW_OVERHEAD
             return True, self._plain_id, (*self._place, *head, *columns)
         flag = ODD if odd else None
-        own: Sequence[bytes | None] = (None, None, flag, raw)
+        flags: Sequence[bytes | None] = (None, None, flag, raw)
         if chunks:
-            own = (encode_int(chunks.number), encode_long(chunks.crc), flag, None)
-        rest = (UNSET if value is None else value for value in (*own, *columns))
+            flags = (encode_int(chunks.number), encode_long(chunks.crc), flag, None)
+        rest = (UNSET if value is None else value for value in (*flags, *columns))
         full = (*self._place, *head, *rest)
         self.batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
         self.batch.odd_rows += odd
@@ -295,7 +295,7 @@ class OpenBucket:
 
     def take(self) -> tuple[Batch, BatchStatement]:
         """Return the filled batch with the statement that stores it, and begin a new batch."""
-        rows = self._encoded()
+        rows = self._encode()
         batch = self.drop()
         statement = BatchStatement(BatchType.UNLOGGED)
         statement.is_idempotent = True
@@ -321,7 +321,7 @@ class OpenBucket:
         with self.mutex:
             self.in_air -= 1
 
-    def _encoded(self) -> EncodedRows:
+    def _encode(self) -> EncodedRows:
         """Encode the rows of the batch that are not encoded yet, most of them together."""
         rows = self.batch.rows
         later = [row for row in rows if isinstance(row, NewRow)]
@@ -329,13 +329,13 @@ class OpenBucket:
             [row for row in rows if not isinstance(row, NewRow)] if len(later) < len(rows) else []
         )
         every = self.table.encoder.encode_together([row.wire for row in later]) if later else ()
-        columns = [each for each in every if each is not None]
+        columns = [cells for cells in every if cells is not None]
         if len(columns) < len(later):
-            for row, each in zip(later, every):
-                if each is None:
+            for row, cells in zip(later, every):
+                if cells is None:
                     self.batch.nbytes -= len(row.wire) + _ROW_OVERHEAD  # _statement adds it again
                     others.append(self._statement(row))
-            later = [row for row, each in zip(later, every) if each is not None]
+            later = [row for row, cells in zip(later, every) if cells is not None]
         self.batch.rows = []  # not needed any more; releases their memory
         parts = chain.from_iterable(zip(repeat(self._prefix), _own_columns(later), columns))
         return EncodedRows(b"".join(parts), len(later), others)
@@ -572,10 +572,10 @@ class RowWriter:
                     self._send(bucket)
         except BaseException as exc:
             # Also after Ctrl-C. From the first chunk on the chunks' outcomes decide.
-            known = isinstance(exc, CassandraRosError)
-            if not added and (known or not block.in_chunks):
-                self._failed(table, block.rewriters(), block.times, exc)
-            if not known:
+            is_ours = isinstance(exc, CassandraRosError)
+            if not added and (is_ours or not block.in_chunks):
+                self._fail(table, block.rewriters(), block.times, exc)
+            if not is_ours:
                 raise
 
     def _name_bucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
@@ -607,8 +607,8 @@ class RowWriter:
         # The present indexes: a bucket that is opened before an index is made has no values for it.
         table.follow(self._schema.latest(table.name, table.metadata))
         shadows = table.shadows()
-        found = self._directory.find(table.name, node, number)
-        mine = [row.filled for row in found if row.writer == self._writer_id]
+        entries = self._directory.find(table.name, node, number)
+        mine = [row.filled for row in entries if row.writer == self._writer_id]
         filled = frozenset(shadows.names if shadows else ()).intersection(*mine)
         bucket = OpenBucket(table, node, number, bool(mine), shadows=shadows, filled=filled)
         self._reopen(bucket)
@@ -631,7 +631,7 @@ class RowWriter:
                 self._count(bucket.table, batch)
             else:
                 bucket.failed()
-                self._failed(bucket.table, batch.rewriters(), batch.times, exc)
+                self._fail(bucket.table, batch.rewriters(), batch.times, exc)
 
         self._flight.submit(statement, batch.nbytes, outcome)
 
@@ -642,17 +642,17 @@ class RowWriter:
         statement = table.insert_chunk()  # may fail, so it comes before anything is counted
         # Here and not when the row is made: then its bytes would have left the processor's cache.
         crc = new.crc if isinstance(new, Block) else crc32(new.wire)
-        chunks, told = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
+        chunks, count = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
         outcome, wire = self._chunk_outcome(bucket, new, again, chunks), memoryview(new.wire)
         bucket.begin_request()
         try:
             for number in range(chunks.number):
                 data = wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
                 bound = bind(statement, (*bucket.key(new.t, new.seq), encode_int(number), data))
-                told += 1  # submit calls outcome in any case
+                count += 1  # submit calls outcome in any case
                 self._flight.submit(bound, len(data), outcome)
         except BaseException as exc:
-            for _ in range(chunks.number - told):
+            for _ in range(chunks.number - count):
                 outcome(exc)
             raise
         self._commit()
@@ -660,21 +660,21 @@ class RowWriter:
     def _chunk_outcome(
         self, bucket: OpenBucket, new: _New, again: Again | None, chunks: Chunks
     ) -> Outcome:
-        left, mutex = [chunks.number], threading.Lock()
+        pending, mutex = [chunks.number], threading.Lock()
         failures: list[BaseException] = []
 
         def outcome(exc: BaseException | None) -> None:
             with mutex:
-                left[0] -= 1
+                pending[0] -= 1
                 if exc is not None:
                     failures.append(exc)
-                if left[0]:
+                if pending[0]:
                     return
             if failures:
                 bucket.failed()
                 worst = max(failures, key=is_table_gone)
                 rewriters = new.rewriters() if isinstance(new, Block) else [again]
-                self._failed(bucket.table, rewriters, [new.t], worst)
+                self._fail(bucket.table, rewriters, [new.t], worst)
             else:
                 # This is the driver's thread, and sending may block: the row is sent later.
                 self._ready.append(lambda: self._add_row(bucket, new, again, chunks))
@@ -710,7 +710,7 @@ class RowWriter:
         with self._counting:
             self.stats[table.name].store(len(batch.sizes), sum(batch.sizes))
 
-    def _failed(
+    def _fail(
         self,
         table: RowTable,
         rows: Sequence[Again | None],
@@ -726,7 +726,7 @@ class RowWriter:
         elif self.gives_back and (isinstance(exc, StoreUnavailable) or is_passing(exc)):
             lost -= self._write_later(table, rows)
         if lost:
-            self._lost(table, lost, exc, times)
+            self._lose(table, lost, exc, times)
 
     def _write_later(self, table: RowTable, rows: Sequence[Again | None]) -> int:
         """Queue the rows that can be written again; return their number."""
@@ -746,20 +746,20 @@ class RowWriter:
                 try:
                     again()
                 except CassandraRosError as exc:
-                    self._lost(table, 1, exc)
+                    self._lose(table, 1, exc)
                 self._moves += 1
             return self._moves
 
-    def _lost(
+    def _lose(
         self, table: RowTable, rows: int, exc: BaseException, times: Sequence[int] = ()
     ) -> None:
         topic = table.metadata.topic
         why = translate(exc, "writing", self._cassandra.outage.nodes())
-        known = times if times and not table.metadata.own_time else (0,)
+        key_times = times if times and not table.metadata.own_time else (0,)
         error = WriteFailed(
             f"{rows} messages of topic {topic} could not be stored: {why}",
-            first_ns=min(known),
-            last_ns=max(known),
+            first_ns=min(key_times),
+            last_ns=max(key_times),
         )
         error.__cause__ = exc
         with self._counting:
@@ -813,7 +813,7 @@ class RowWriter:
                 if isinstance(exc, StoreUnavailable) and not self.gives_back:
                     raise
                 batch = bucket.drop()
-                self._failed(bucket.table, batch.rewriters(), batch.times, exc)
+                self._fail(bucket.table, batch.rewriters(), batch.times, exc)
                 return
         self._send(bucket)
 

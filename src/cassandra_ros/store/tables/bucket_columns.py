@@ -72,8 +72,8 @@ def read_columns(
     cql = (
         f"SELECT {COLUMNS} FROM {table} WHERE tbl = ? AND node = ? AND slot = ? AND {which} LIMIT ?"
     )
-    asked = (_ask(cassandra, cql, each, single) for each in wanted)
-    return (answer() for answer in sent_ahead(asked, AT_ONCE))
+    requests = (_ask(cassandra, cql, slot_range, single) for slot_range in wanted)
+    return (answer() for answer in sent_ahead(requests, AT_ONCE))
 
 
 def _ask(
@@ -119,8 +119,10 @@ def count_closed(
         "WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
     )
     total, others = 0, set()
-    asked = (_ask_rows(cassandra, cql, each, ACTIVE_PAGE_ROWS) for each in wanted)
-    for answer in sent_ahead(asked, AT_ONCE):
+    requests = (
+        _ask_rows(cassandra, cql, active_range, ACTIVE_PAGE_ROWS) for active_range in wanted
+    )
+    for answer in sent_ahead(requests, AT_ONCE):
         rows = answer()
         moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
         entries = [row[2] for row in rows if row[:2] not in moving]

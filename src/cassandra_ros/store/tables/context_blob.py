@@ -41,7 +41,7 @@ class NodeGraph:
     def nodes(self) -> list[str]:
         """Names of all nodes, sorted."""
         every = (self.publishers, self.subscribers, self.services)
-        return sorted({node for part in every for nodes in part.values() for node in nodes})
+        return sorted({node for by_name in every for nodes in by_name.values() for node in nodes})
 
 
 @dataclass(frozen=True)
@@ -117,10 +117,10 @@ def _plain(value: object, place: str, depth: int) -> object:
         data = value.data if isinstance(value, xmlrpc.client.Binary) else bytes(value)
         return {"$binary": base64.b64encode(data).decode("ascii")}
     if isinstance(value, (list, tuple)):
-        return [_plain(each, f"{place}[{i}]", depth + 1) for i, each in enumerate(value)]
+        return [_plain(element, f"{place}[{i}]", depth + 1) for i, element in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        found = {k: _plain(each, f"{place}/{k}", depth + 1) for k, each in value.items()}
-        return {"$mapping": found} if any(key.startswith("$") for key in found) else found
+        mapping = {k: _plain(element, f"{place}/{k}", depth + 1) for k, element in value.items()}
+        return {"$mapping": mapping} if any(key.startswith("$") for key in mapping) else mapping
     raise InvalidOption(
         f"parameter {place or '/'} is a {type(value).__name__}, which no parameter server holds"
     )
@@ -129,7 +129,7 @@ def _plain(value: object, place: str, depth: int) -> object:
 def _value(plain: object) -> object:
     """Return the value from which ``_plain`` made ``plain``."""
     if isinstance(plain, list):
-        return [_value(each) for each in plain]
+        return [_value(element) for element in plain]
     if not isinstance(plain, dict):
         return plain
     kind, inner = next(iter(plain.items())) if len(plain) == 1 else ("", "")
@@ -140,4 +140,4 @@ def _value(plain: object) -> object:
     if kind == "$binary":
         return xmlrpc.client.Binary(base64.b64decode(inner))
     mapping = plain["$mapping"] if kind == "$mapping" else plain
-    return {key: _value(each) for key, each in mapping.items()}
+    return {key: _value(element) for key, element in mapping.items()}

@@ -155,8 +155,8 @@ class CopyBooks:
     ) -> list[CopiedBucket]:
         """Return what is confirmed of a table, in some slots of its nodes."""
         params = [(target, table, node, slot) for slot, node in slots]
-        found = self._tables.select_many(_BUCKETS, _READ, _SLOT, params, _READING)
-        return [_bucket(row) for rows in found for row in rows]
+        answers = self._tables.select_many(_BUCKETS, _READ, _SLOT, params, _READING)
+        return [_bucket(row) for rows in answers for row in rows]
 
     def beats(
         self, target: UUID, table: str, slot: int, node: str
@@ -196,5 +196,5 @@ def _bucket(row: CqlRow) -> CopiedBucket:
     node, bucket, writer, there, heartbeat, seen, final, rule, *numbers, released = row
     rows, n, nbytes, t_max = (number or 0 for number in numbers)
     place = (node, bucket, writer, there or "")
-    known = (heartbeat, seen or 0, bool(final), rule or "")
-    return CopiedBucket(*place, *known, rows, n, nbytes, t_max, bool(released))
+    state = (heartbeat, seen or 0, bool(final), rule or "")
+    return CopiedBucket(*place, *state, rows, n, nbytes, t_max, bool(released))

@@ -281,7 +281,7 @@ BucketGroup = Tuple[int, Group]
 """A bucket and its group. An empty group means that the directory was read up to here."""
 _Slot = Tuple[int, Tuple[str, ...]]
 """A slot, and the nodes that have buckets in it."""
-_Asked = Tuple[Iterator[Callable[[], List[BucketRow]]], int]
+_Request = Tuple[Iterator[Callable[[], List[BucketRow]]], int]
 """Functions that wait for the buckets of one node each, or of all; maximum number of rows of each
 answer."""
 
@@ -369,8 +369,8 @@ class Directory:
     def buckets_by_time(self, table: str, first: int, last: int) -> list[BucketRow]:
         """Return the buckets of all robots in [first, last] that cr_active lists."""
         slots = self._slots_between(table, slot_of(first), slot_of(last))
-        asked = (self.begin_active(table, slot, first, last) for slot in slots)
-        return [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
+        requests = (self.begin_active(table, slot, first, last) for slot in slots)
+        return [row for answer in sent_ahead(requests, AT_ONCE) for row in answer()]
 
     def buckets_by_robot(
         self, table: str, first: int, last: int, nodes: Sequence[str] | None = None
@@ -381,9 +381,9 @@ class Directory:
             nodes: The nodeIDs to read; None = all.
         """
         listed = self.nodes(table, slot_of(first), slot_of(last))
-        found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
-        asked = self.begin_buckets((table, node, slot, first, last) for slot, node in found)
-        return [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
+        slots = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
+        requests = self.begin_buckets((table, node, slot, first, last) for slot, node in slots)
+        return [row for answer in sent_ahead(requests, AT_ONCE) for row in answer()]
 
     def _slots_between(self, table: str, first: int, last: int) -> Iterable[int]:
         """Return the slots in [first, last] that may have buckets of a table."""
@@ -453,8 +453,8 @@ class Directory:
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """Return the rows of all writers for one bucket."""
-        asked = self.begin_buckets([(table, node, slot_of(bucket), bucket, bucket)])
-        return [row for answer in asked for row in answer()]
+        requests = self.begin_buckets([(table, node, slot_of(bucket), bucket, bucket)])
+        return [row for answer in requests for row in answer()]
 
     def begin_buckets(
         self,
@@ -476,13 +476,13 @@ class Directory:
             f"{' ORDER BY bucket DESC' * reverse} LIMIT ?"
         )
         what, retry_sec = "reading the directory of buckets", self._tables.retry_sec
-        for each in params:
-            asked = self._cassandra.begin(cql, (*each, limit), what=what, retry_sec=retry_sec)
-            yield partial(_bucket_rows, each[1], asked)
+        for bounds in params:
+            request = self._cassandra.begin(cql, (*bounds, limit), what=what, retry_sec=retry_sec)
+            yield partial(_bucket_rows, bounds[1], request)
 
-    def keep_slots(self, table: str, asked: range, slots: Sequence[_Slot]) -> None:
+    def keep_slots(self, table: str, span: range, slots: Sequence[_Slot]) -> None:
         """Cache the listed nodes of some slots for the next read."""
-        kept = {s: n for s, n in self.seen.get(table, {}).items() if s not in asked}
+        kept = {s: n for s, n in self.seen.get(table, {}).items() if s not in span}
         self.seen[table] = {**(kept if len(kept) < MANY_SLOTS else {}), **dict(slots)}
 
     def begin_slot(
@@ -495,9 +495,9 @@ class Directory:
         answer = self.begin_nodes(table, (slot, slot))
 
         def nodes() -> tuple[str, ...]:
-            found = tuple(node for _, node in answer())
-            self.keep_slots(table, range(slot, slot + 1), [(slot, found)] if found else [])
-            return found
+            names = tuple(node for _, node in answer())
+            self.keep_slots(table, range(slot, slot + 1), [(slot, names)] if names else [])
+            return names
 
         return self.seen.get(table, {}).get(slot, ()), nodes
 
@@ -515,12 +515,12 @@ class Directory:
         answer = self.begin_active(table, slot, bucket, bucket)
 
         def rows() -> list[BucketRow]:
-            found = answer()
-            known = self.seen.get(table, {}).get(slot, ())
-            nodes = {*known, *(row.node for row in found)}
-            if len(nodes) > len(known):
+            entries = answer()
+            old_nodes = self.seen.get(table, {}).get(slot, ())
+            nodes = {*old_nodes, *(row.node for row in entries)}
+            if len(nodes) > len(old_nodes):
                 self.keep_slots(table, range(slot, slot + 1), [(slot, tuple(sorted(nodes)))])
-            return found
+            return entries
 
         return rows
 
@@ -706,7 +706,7 @@ class BucketWalk:
         slots = self._slots()
         next(slots, None)  # sends the request; an empty range has no slots
         # The first slot is mostly the same as last time: its buckets are requested at once.
-        expected = self._expected()
+        expected = self._guess_slot()
         early = None if expected is None else self._ask(expected, self._inside(expected), limit)
         begun = False
         for slot in slots:
@@ -714,16 +714,16 @@ class BucketWalk:
                 continue
             low, high = self._inside(slot)
             # Only for the first slot: later ones need a larger window.
-            asked = early if expected is not None and self._same(slot, expected) else None
-            asked = None if begun else asked
+            request = early if expected is not None and self._same(slot, expected) else None
+            request = None if begun else request
             while low <= high:
                 if begun and self._few:
                     yield (high if self._reverse else low), []
-                asked = self._ask(slot, (low, high), limit) if asked is None else asked
-                found, end = self._window(asked, low, high)
-                yield from ((group[0].bucket, group) for group in found)
+                request = self._ask(slot, (low, high), limit) if request is None else request
+                groups, end = self._window(request, low, high)
+                yield from ((group[0].bucket, group) for group in groups)
                 low, high = (low, end - 1) if self._reverse else (end + 1, high)
-                limit, asked, begun = min(ALL_ROWS, WIDER * limit), None, True
+                limit, request, begun = min(ALL_ROWS, WIDER * limit), None, True
 
     def _same(self, slot: _Slot, other: _Slot) -> bool:
         """Return whether the buckets of two slots are requested in the same way."""
@@ -742,7 +742,7 @@ class BucketWalk:
             ask = self._directory.begin_nodes
             answer = ask(self._table, (first, last), limit, reverse=self._reverse)
             yield None
-            asked, listed = range(first, last + 1), answer()
+            span, listed = range(first, last + 1), answer()
             slots = [(s, tuple(n for _, n in g)) for s, g in groupby(listed, lambda row: row[0])]
             if len(listed) < limit:
                 first, last = 1, 0
@@ -752,52 +752,52 @@ class BucketWalk:
                 first, last = (first, cut - step) if self._reverse else (cut + step, last)
                 limit = min(ALL_ROWS, WIDER * limit)
             if self._few:
-                self._directory.keep_slots(self._table, asked, slots)
-            yield from [kept for kept in map(self._kept, slots) if kept is not None]
+                self._directory.keep_slots(self._table, span, slots)
+            yield from [kept for kept in map(self._restrict, slots) if kept is not None]
 
-    def _kept(self, slot: _Slot) -> _Slot | None:
+    def _restrict(self, slot: _Slot) -> _Slot | None:
         """Leave out the nodes that are not to be read; return None if there are no others."""
         nodes = tuple(n for n in slot[1] if self._nodes is None or n in self._nodes)
         self.met.update(nodes)
         return (slot[0], nodes) if nodes else None
 
-    def _expected(self) -> _Slot | None:
+    def _guess_slot(self) -> _Slot | None:
         """Return the slot that is probably the first; None = unknown, or too many nodes to try."""
         first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
-        known = self._directory.seen.get(self._table, {}) if self._few else {}
-        inside = [(s, nodes) for s, nodes in known.items() if first <= s <= last]
+        cache = self._directory.seen.get(self._table, {}) if self._few else {}
+        inside = [(s, nodes) for s, nodes in cache.items() if first <= s <= last]
         if not inside:
             return None
-        slot = self._kept(max(inside) if self._reverse else min(inside))
+        slot = self._restrict(max(inside) if self._reverse else min(inside))
         few = self._by_time or (slot is not None and len(slot[1]) <= AT_ONCE)
         return slot if few else None
 
-    def _ask(self, slot: _Slot, ends: tuple[int, int], limit: int) -> _Asked:
+    def _ask(self, slot: _Slot, ends: tuple[int, int], limit: int) -> _Request:
         """Request the buckets of the nodes of a slot, several at once; ``limit`` for each node."""
         if self._by_time:
             limit = min(ALL_ROWS, limit * min(len(slot[1]), MANY_NODES))
             ask = self._directory.begin_active
             return iter([ask(self._table, slot[0], *ends, limit, reverse=self._reverse)]), limit
         params = [(self._table, node, slot[0], *ends) for node in slot[1]]
-        asked = sent_ahead(
+        requests = sent_ahead(
             self._directory.begin_buckets(params, limit, reverse=self._reverse), AT_ONCE
         )
-        first = next(asked, None)  # sends the requests
-        return (iter(()) if first is None else chain((first,), asked)), limit
+        first = next(requests, None)  # sends the requests
+        return (iter(()) if first is None else chain((first,), requests)), limit
 
-    def _window(self, asked: _Asked, low: int, high: int) -> tuple[list[Group], int]:
+    def _window(self, request: _Request, low: int, high: int) -> tuple[list[Group], int]:
         """Return the next buckets, and the last bucket (included) up to which they are complete."""
         end = low if self._reverse else high
-        answers, limit = asked
-        found: list[BucketRow] = []
+        answers, limit = request
+        entries: list[BucketRow] = []
         for answer in answers:
             rows = answer()
-            found += rows
+            entries += rows
             if len(rows) == limit:
                 cut = rows[-1].bucket  # further writers of this bucket may follow
                 end = max(end, cut + 1) if self._reverse else min(end, cut - 1)
         groups: dict[tuple[int, str], Group] = {}
-        for row in found:
+        for row in entries:
             inside = row.bucket >= end if self._reverse else row.bucket <= end
             if inside and not row.expired(self._ttl):
                 groups.setdefault((row.bucket, row.node), []).append(row)

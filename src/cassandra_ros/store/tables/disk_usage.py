@@ -24,9 +24,9 @@ def disk_usage(cassandra: Cassandra, keyspace: str) -> Counter[str]:
         (keyspace,),
         what=f"asking how much disk the tables of keyspace {keyspace} take",
     )
-    found: Counter[str] = Counter()
+    sizes: Counter[str] = Counter()
     for rows in answers.values():
         for name, mebibytes in rows:
             table = name[: -len(_CHUNKS)] if name.endswith(_CHUNKS) else name
-            found[table] += mebibytes * MIB
-    return found
+            sizes[table] += mebibytes * MIB
+    return sizes

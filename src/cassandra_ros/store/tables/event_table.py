@@ -123,8 +123,8 @@ class EventTable:
         slots = self._slots(names, within)
         for first in range(0, len(slots), _AT_ONCE):
             params = [(slot, *given) for slot in slots[first : first + _AT_ONCE]]
-            found = self._tables.select_many(_EVENT, _NAMES, where, params, "reading events")
-            for rows in found:
+            answers = self._tables.select_many(_EVENT, _NAMES, where, params, "reading events")
+            for rows in answers:
                 events = (event for event in map(_event, rows) if _meets(event, within))
                 yield from sorted(events, key=Event.order)
 

@@ -19,10 +19,10 @@ _LEFT = 'TTL("_conn")'
 _WRITTEN = 'WRITETIME("_conn")'
 
 
-def rounded(left: int, ttl: int) -> int:
+def rounded(lifetime: int, ttl: int) -> int:
     """Round a row's remaining lifetime up to the next step, seconds; at most the ttl."""
     step = max(1, ttl // STEPS)
-    return min(ttl, -(-max(1, left) // step) * step)
+    return min(ttl, -(-max(1, lifetime) // step) * step)
 
 
 def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:

@@ -100,8 +100,8 @@ class PlaceIndex:
         """Return the rows of cr_placed of some tables."""
         what = "reading how far the index of places goes"
         every = [(table,) for table in tables]
-        found = self._tables.select_many("cr_placed", ", ".join(_DONE), "tbl = ?", every, what)
-        return [_placed(row) for rows in found for row in rows]
+        answers = self._tables.select_many("cr_placed", ", ".join(_DONE), "tbl = ?", every, what)
+        return [_poses_of(row) for rows in answers for row in rows]
 
     def visits(
         self, squares: Sequence[Square], node: str, low: int, high: int
@@ -115,8 +115,8 @@ class PlaceIndex:
         where = f"{' AND '.join(f'{name} = ?' for name in _VISIT[:6])} AND t_in >= ? AND t_in <= ?"
         params = [(*square, node, low, high) for square in squares]
         what = "reading where robots were"
-        found = self._tables.select_many("cr_place", "t_in, t_out", where, params, what)
-        return [(t_in, t_out) for rows in found for t_in, t_out in rows]
+        answers = self._tables.select_many("cr_place", "t_in, t_out", where, params, what)
+        return [(t_in, t_out) for rows in answers for t_in, t_out in rows]
 
     def noted(self, table: str, node: str, writer: int) -> set[str]:
         """Return the robots for which the visits of a run's poses in a table are complete."""
@@ -151,7 +151,7 @@ class PlaceIndex:
             self._tables.delete("cr_placed", ("tbl",), [(table,)], what)
 
 
-def _placed(row: CqlRow) -> IndexedPoses:
+def _poses_of(row: CqlRow) -> IndexedPoses:
     table, node, writer, robot, low, high, frames, above = row
     return IndexedPoses(
         table, node, writer, robot, low, high, frozenset(frames or ()), dict(above or {})

@@ -71,7 +71,7 @@ class Run:
         return f"<Run {self.name!r} {self.writer}: {', '.join(filter(None, parts))}>"
 
 
-_RUN = tuple(each.name for each in fields(Run) if each.name != "state")
+_RUN = tuple(f.name for f in fields(Run) if f.name != "state")
 
 
 class SignOfLife(NamedTuple):
@@ -137,7 +137,7 @@ class Registry:
         for table, conn, row in rows:
             def_hash = hashlib.sha256(row.definition).digest()
             definitions[row.md5sum, def_hash] = row.definition
-            number = _signed(row.number)
+            number = _to_int(row.number)
             headers.append(
                 (table, conn, def_hash, row.topic, number, row.header, row.def_offset, row.md5sum)
             )
@@ -160,7 +160,7 @@ class Registry:
         text = self._definition(key)
         if text is None:
             return None
-        return StoredHeader(topic, _unsigned(number), header, offset, key[0], text)
+        return StoredHeader(topic, _from_int(number), header, offset, key[0], text)
 
     def headers(self, tables: Container[str]) -> Iterator[tuple[str, int, StoredHeader]]:
         """Yield the connection headers of some tables (a full scan: connections are few).
@@ -176,14 +176,14 @@ class Registry:
                 continue
             key = (md5sum, def_hash)
             if key not in texts:
-                found = self._definition(key)
-                if found is None:
+                text = self._definition(key)
+                if text is None:
                     continue  # changed by hand; get_header returns None for it
-                texts[key] = found
+                texts[key] = text
             yield (
                 table,
                 conn,
-                StoredHeader(topic, _unsigned(number), header, offset, md5sum, texts[key]),
+                StoredHeader(topic, _from_int(number), header, offset, md5sum, texts[key]),
             )
 
     def _definition(self, key: Sequence[object]) -> bytes | None:
@@ -198,8 +198,8 @@ class Registry:
         )
         return sorted(
             md5sum
-            for md5sum, known, text in rows
-            if hashlib.sha256(bytes(text or b"")).digest() != bytes(known)
+            for md5sum, digest, text in rows
+            if hashlib.sha256(bytes(text or b"")).digest() != bytes(digest)
         )
 
     def tables(self) -> set[str]:
@@ -236,15 +236,15 @@ class Registry:
         names = f"writer, node, heartbeat, interrupted, {now}"
         seen = self._tables.select("cr_context", names, what=what)
         beats = {(writer, node): (beat, broken) for writer, node, beat, broken, _ in seen}
-        found: dict[tuple[int, str], SignOfLife] = {}
-        for writer, node, started, asked in begun:
+        signs: dict[tuple[int, str], SignOfLife] = {}
+        for writer, node, started, server_time in begun:
             beat, broken = beats.get((writer, node), (None, None))
             last = max(filter(None, (started, beat)), default=None)
-            age_sec = math.inf if last is None else (asked - last).total_seconds()
+            age_sec = math.inf if last is None else (server_time - last).total_seconds()
             # An import that is repeated has started again after its interruption.
             failed = broken is not None and (started is None or broken >= started)
-            found[writer, node] = SignOfLife(age_sec, failed)
-        return found
+            signs[writer, node] = SignOfLife(age_sec, failed)
+        return signs
 
     def put_heartbeat(self, writer: int, node: str, *, interrupted: bool = False) -> None:
         """Note that a run is alive, or that it ends with an error."""
@@ -281,7 +281,7 @@ class Registry:
         else:
             select = self._tables.select
             every = (select("cr_loss", names, "topic = ?", (t,), what=what) for t in set(topics))
-            rows = [row for found in every for row in found]
+            rows = [row for answer in every for row in answer]
         return sorted(map(_loss, rows), key=lambda loss: (loss.first_ns, loss.topic, loss.writer))
 
     def forget_losses(self, topic: str) -> None:
@@ -333,13 +333,13 @@ class Registry:
 # "not from a bag", so it is stored as null.
 
 
-def _signed(number: int) -> int | None:
+def _to_int(number: int) -> int | None:
     if number < 2**31:
         return number
     return number - 2**32 if number < 2**32 - 1 else None
 
 
-def _unsigned(column: int | None) -> int:
+def _from_int(column: int | None) -> int:
     if column is None:
         return 2**32 - 1
     return column if column >= -1 else column + 2**32
@@ -348,10 +348,10 @@ def _unsigned(column: int | None) -> int:
 def _loss(row: CqlRow) -> Loss:
     topic, node, writer, kind, first, last, count = row
     try:
-        known = LossKind(kind)
+        loss_kind = LossKind(kind)
     except ValueError:  # a kind that only newer releases know
-        known = LossKind.MISTAKE
-    return Loss(topic, node, writer, known, first, last or first, count or 0)
+        loss_kind = LossKind.MISTAKE
+    return Loss(topic, node, writer, loss_kind, first, last or first, count or 0)
 
 
 def _run(row: CqlRow) -> Run:

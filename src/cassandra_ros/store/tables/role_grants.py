@@ -34,14 +34,16 @@ def role_statements(keyspace: str) -> list[str]:
 
     Running them again changes nothing.
     """
-    found = []
+    statements = []
     for role, rights in _RIGHTS.items():
         name = role_name(keyspace, role)
-        found.append(f"CREATE ROLE IF NOT EXISTS {name}")
-        found += [f"GRANT {right} ON KEYSPACE {quote_name(keyspace)} TO {name}" for right in rights]
+        statements.append(f"CREATE ROLE IF NOT EXISTS {name}")
+        statements += [
+            f"GRANT {right} ON KEYSPACE {quote_name(keyspace)} TO {name}" for right in rights
+        ]
         if role != "viewer":
-            found.append(f"GRANT SELECT ON KEYSPACE {_PROGRESS} TO {name}")
-    return found
+            statements.append(f"GRANT SELECT ON KEYSPACE {_PROGRESS} TO {name}")
+    return statements
 
 
 def apply_roles(side_tables: SideTables) -> None:

@@ -191,8 +191,8 @@ class RowTable:
 
     def place(self, node: str, where: int | str) -> tuple[bytes, bytes]:
         """Encode the partition key of a bucket, or of the rows with a name."""
-        part = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
-        return node.encode("utf-8"), part
+        key = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
+        return node.encode("utf-8"), key
 
     def place_of(self, node: str, t_ns: int, name: str) -> tuple[bytes, bytes]:
         """Encode the partition key of a row."""
@@ -217,20 +217,20 @@ class RowTable:
         Args:
             full: Include the columns of chunks and ``_raw``, which few rows need.
         """
-        own = _OWN if full else _OWN[:4]
-        names = ("_node", self.partition, *own, *self.columns, *self._received, *shadows)
+        own_columns = _OWN if full else _OWN[:4]
+        names = ("_node", self.partition, *own_columns, *self.columns, *self._received, *shadows)
         marks = ", ".join("?" * len(names))
-        return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
+        return self._prepare(f"INSERT INTO {self.qualified} ({_list(names)}) VALUES ({marks})")
 
     def insert_block(self) -> PreparedStatement:
         """Return the INSERT of a block: its key, the columns _BLOCK, and its zones."""
         names = ("_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns)
         marks = ", ".join("?" * len(names))
-        return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
+        return self._prepare(f"INSERT INTO {self.qualified} ({_list(names)}) VALUES ({marks})")
 
     def insert_chunk(self) -> PreparedStatement:
         """Return the INSERT of one chunk of a large message."""
-        names = _listed(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
+        names = _list(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
     @property
@@ -248,12 +248,12 @@ class RowTable:
         every = ("_node", self.partition, *names)
         marks = ", ".join("?" * len(every))
         ends = " USING TTL ?" if expires else ""
-        cql = f"INSERT INTO {self.qualified} ({_listed(every)}) VALUES ({marks}){ends}"
+        cql = f"INSERT INTO {self.qualified} ({_list(every)}) VALUES ({marks}){ends}"
         return self._prepare(cql)
 
     def insert_stored_chunk(self) -> PreparedStatement:
         """INSERT of one chunk of a large message, with its time to live, s."""
-        names = _listed(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
+        names = _list(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
         values = "VALUES (?, ?, ?, ?, ?, ?) USING TTL ?"
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) {values}")
 
@@ -347,7 +347,7 @@ class RowTable:
         """Return the columns that row_from_values reads, with some of the format's (None = all)."""
         if columns is None:
             return self._every
-        return _listed((*_OWN, *self._received, *columns))
+        return _list((*_OWN, *self._received, *columns))
 
     def select_range(
         self,
@@ -376,10 +376,10 @@ class RowTable:
         values = [value for *_, value in terms]
 
         def rest(read: RawRow | None) -> BoundStatement:
-            left = _encode_ends(ends, read or last, reverse)
-            return bind(statement, (*place, *left, *values), page_rows)
+            bounds = _encode_ends(ends, read or last, reverse)
+            return bind(statement, (*place, *bounds, *values), page_rows)
 
-        return self._asked(rest, what, refused, on_page, first_rows)
+        return self._start(rest, what, refused, on_page, first_rows)
 
     def ask_row(self, place: tuple[bytes, bytes], t: int, seq: int | None) -> PagedRead:
         """Request a whole row; seq None = the first one with this time.
@@ -394,9 +394,9 @@ class RowTable:
 
     def send(self, statement: Statement, what: str = "reading") -> PagedRead:
         """Send a statement whose answer is one page, or of which only the first page is needed."""
-        return self._asked(lambda last: statement, what)
+        return self._start(lambda last: statement, what)
 
-    def _asked(
+    def _start(
         self,
         statement_from: Callable[[RawRow | None], Statement],
         what: str,
@@ -456,8 +456,8 @@ class RowTable:
             ) from exc
         nchunks, crc, odd, raw = values[4:8]
         if nchunks is None and odd is None and self._plain:
-            own = t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:]
-            return _new_row((*own, "", -1, None, 0))  # takes a third of the time, for every row
+            head = t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:]
+            return _new_row((*head, "", -1, None, 0))  # takes a third of the time, for every row
         received = decode_long(values[8]) if self._received else -1
         if self._once:
             t, seq = received, decode_long(values[9])
@@ -505,7 +505,7 @@ def _encode_ends(
 
 
 @lru_cache(maxsize=1024)
-def _listed(names: tuple[str, ...]) -> str:
+def _list(names: tuple[str, ...]) -> str:
     return ", ".join(quote_name(name) for name in names)
 
 

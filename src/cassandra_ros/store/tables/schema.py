@@ -208,14 +208,14 @@ class Schema:
                 self._read_at, self._mark = now, mark
             return self._listing
 
-    def latest(self, table: str, known: TopicMetadata) -> TopicMetadata:
-        """Return the metadata of a table; ``known`` if they cannot be read now."""
+    def latest(self, table: str, fallback: TopicMetadata) -> TopicMetadata:
+        """Return the metadata of a table; ``fallback`` if they cannot be read now."""
         try:
-            return self.tables().get(table, known)
+            return self.tables().get(table, fallback)
         except CassandraRosError as exc:
             # Not a reason to lose a message: the directory says which indexes its row is in.
-            _log.warning("topic %s keeps the indexes it had: %s", known.topic, exc)
-            return known
+            _log.warning("topic %s keeps the indexes it had: %s", fallback.topic, exc)
+            return fallback
 
     def takes_rows(self, table: str) -> bool:
         """Return whether new messages may go into a table; True if that cannot be read now."""
@@ -237,32 +237,32 @@ class Schema:
 
     def _read(self) -> dict[str, TopicMetadata]:
         """Read the comments of all topic tables, those that have not changed from memory."""
-        known: dict[str, tuple[object, TopicMetadata | None]] = {}
+        entries: dict[str, tuple[object, TopicMetadata | None]] = {}
         changed = []
         if self._known:
             names = "table_name, writetime(comment)"
             for name, time_us in self._cassandra.system_schema("tables", names, self.keyspace):
                 entry = self._known.get(name)
                 if entry is not None and entry[0] == time_us:
-                    known[name] = entry
+                    entries[name] = entry
                 else:
                     changed.append(name)
         several = len(changed) > _FEW_TABLES or not self._known
         for name, comment, time_us in self._comments() if several else self._comments_of(changed):
-            known[name] = (time_us, from_comment(comment or "", f"{self.keyspace}.{name}"))
-        self._known = known
-        return self._noted({name: metadata for name, (_, metadata) in known.items()})
+            entries[name] = (time_us, from_comment(comment or "", f"{self.keyspace}.{name}"))
+        self._known = entries
+        return self._note({name: metadata for name, (_, metadata) in entries.items()})
 
-    def _noted(self, tables: Mapping[str, TopicMetadata | None]) -> dict[str, TopicMetadata]:
+    def _note(self, tables: Mapping[str, TopicMetadata | None]) -> dict[str, TopicMetadata]:
         """Return those that are topic tables, and note them as seen."""
-        found = {name: metadata for name, metadata in tables.items() if metadata is not None}
-        self.seen.update((m.topic, m.format) for m in found.values() if not m.filling)
-        return found
+        topic_tables = {name: metadata for name, metadata in tables.items() if metadata is not None}
+        self.seen.update((m.topic, m.format) for m in topic_tables.values() if not m.filling)
+        return topic_tables
 
     def _comments_of(self, tables: Sequence[str]) -> list[CqlRow]:
         """Read name, comment and its time for some tables, of those that exist."""
         rows = self._cassandra.system_schema_of("tables", _COMMENTS, self.keyspace, tables)
-        return [row for found in rows for row in found]
+        return [row for answer in rows for row in answer]
 
     def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
         """Read the tables of a topic again; the caller has the lock.
@@ -317,12 +317,12 @@ class Schema:
         Of several it is the one that came from a conversion: a repeated import finds its rows
         there.
         """
-        found = [
+        names = [
             name
             for name in listing.by_topic.get(wish.key[0], ())
             if name not in listing.leaving and self._is_for(listing.visible[name], wish)
         ]
-        return max(found, key=lambda name: bool(listing.visible[name].replaces), default=None)
+        return max(names, key=lambda name: bool(listing.visible[name].replaces), default=None)
 
     def _find_all(self, listing: Listing, wishes: Sequence[TableWish]) -> list[str | None]:
         return [self._find(listing, wish) for wish in wishes]
@@ -344,7 +344,7 @@ class Schema:
             if table.shadows:
                 self._finish(table.name, table.metadata, lock)
         lock.change_all(
-            [self._chunk_statement(each.name, each.metadata) for each in tables if each.large]
+            [self._chunk_statement(table.name, table.metadata) for table in tables if table.large]
         )
 
     def _finish(self, name: str, wanted: TopicMetadata, lock: SchemaLock) -> None:
@@ -386,12 +386,12 @@ class Schema:
         with self._mutex:
             self._known = {**self._known, **read}
             every = self._listing.every if self._listing else {}
-            self._listing = Listing({**every, **self._noted(made)})
+            self._listing = Listing({**every, **self._note(made)})
             # The lock excludes changes by other clients, so all that were pushed are our own.
             self._mark = self._changes.mark
         columns = self._cassandra.system_schema_of("columns", _COLUMNS, self.keyspace, names)
-        for table, found in zip(tables, columns):
-            if dict(found) != table.columns or made.get(table.name) != table.metadata:
+        for table, table_columns in zip(tables, columns):
+            if dict(table_columns) != table.columns or made.get(table.name) != table.metadata:
                 raise SchemaConflict(
                     f"table {self.keyspace}.{table.name} of topic {table.metadata.topic} is not "
                     "what was asked for (columns or comment differ): another client changed it at "
@@ -486,8 +486,8 @@ class Schema:
                 }
                 for name, metadata in one_each.values():
                     columns, kept = self.columns(name), metadata.indexes.values()
-                    for left in [c for c in columns if c.startswith(SHADOW) and c not in kept]:
-                        del columns[left]
+                    for shadow in [c for c in columns if c.startswith(SHADOW) and c not in kept]:
+                        del columns[shadow]
                     self._make([_new_table(metadata, columns)], lock)
             self.drop(tables, lock)
         self.tables(fresh=True)

@@ -160,13 +160,13 @@ class SchemaLock:
         """Monotonic time before which the lock was taken or renewed last, s."""
 
     def __enter__(self) -> SchemaLock:
-        begun, told = time.monotonic(), False
+        begun, is_logged = time.monotonic(), False
         pause = 0.02
         while not self._take():
             waited = time.monotonic() - begun
-            if waited > TELL_SEC and not told:
-                told = True
-                _log.warning("%s", self._held())
+            if waited > TELL_SEC and not is_logged:
+                is_logged = True
+                _log.warning("%s", self._wait_text())
             if waited > WAIT_SEC:
                 raise SchemaConflict(
                     f"another client holds the schema lock in {self._table} for over "
@@ -197,14 +197,14 @@ class SchemaLock:
         # An earlier try whose answer was lost may have taken the lock.
         return applied or owner == self._owner
 
-    def _held(self) -> str:
+    def _wait_text(self) -> str:
         """Return a text that says what is waited for, and until when at most."""
         cql = f"SELECT TTL(owner) FROM {self._table} WHERE name = ?"
         rows = self._cassandra.execute(cql, (self._name,), what="reading the schema lock")
-        left = (rows[0][0] if rows else None) or LOCK_TTL_SEC
+        ttl = (rows[0][0] if rows else None) or LOCK_TTL_SEC
         return (
             f"waiting for the schema lock in {self._table}: another program makes or changes a "
-            f"table. If it was killed meanwhile, its lock runs out in {left} s; else this program "
+            f"table. If it was killed meanwhile, its lock runs out in {ttl} s; else this program "
             f"waits up to {WAIT_SEC:.0f} s"
         )
 
@@ -244,17 +244,18 @@ class SchemaLock:
     def _lwt(self, cql: str, params: tuple[object, ...]) -> tuple[bool, object]:
         # Under contention a transaction may time out with its outcome unknown. All three of ours
         # contain the owner, so they can be repeated.
-        for left in reversed(range(_TRIES)):
+        tries = 1
+        while True:
             try:
                 row = self._cassandra.execute_once(cql, params, what="taking the schema lock")[0]
                 # [applied], and if it is false the columns of the row that is there already.
                 return bool(row[0]), row[-1] if len(row) > 1 else None
             except StoreUnavailable as exc:
-                if not left:
+                if tries == _TRIES:
                     raise
                 _log.debug("%s; asking again", exc)
+                tries += 1
                 time.sleep(0.2)
-        raise AssertionError("the loop above returns or raises")
 
 
 class SideTables:

@@ -105,7 +105,7 @@ class TableFiles:
         quiet = 0
         # A merge that was chosen just before merging was forbidden may be listed a moment later.
         while quiet < 2:
-            busy = [task for found in self.tasks().values() for task in found]
+            busy = [task for node_tasks in self.tasks().values() for task in node_tasks]
             quiet = 0 if busy else quiet + 1
             if busy and time.monotonic() > deadline:
                 kind, ratio = busy[0]
@@ -138,7 +138,7 @@ class TableFiles:
     def await_builds(self, names: AbstractSet[str], seconds: float) -> None:
         """Wait until each node has begun the last of the table's indexes, or has built them all."""
         deadline = time.monotonic() + seconds
-        while not self._begun_on_each(names):
+        while not self._has_begun_on_each(names):
             if time.monotonic() > deadline:
                 raise StoreUnavailable(
                     f"Cassandra has not begun to build an index of table {self._table} within "
@@ -148,7 +148,7 @@ class TableFiles:
             self._lock.renew()
             time.sleep(PAUSE_SEC)
 
-    def _begun_on_each(self, names: AbstractSet[str]) -> bool:
+    def _has_begun_on_each(self, names: AbstractSet[str]) -> bool:
         listed = self._cassandra.execute_on_each(
             "SELECT table_name, index_name, is_building FROM system_views.sai_column_indexes "
             "WHERE keyspace_name = ?",
