@@ -50,7 +50,7 @@ def plan_topics(
     plan = []
     for topic, msg_type in sorted(types.items()):
         topic_settings = settings.of(topic)
-        fmt = catalog.keyspace.new_tables.format_for(topic, asked=topic_settings.format)
+        fmt = catalog.keyspace.new_tables.format_for(topic, format=topic_settings.format)
         own = [m for m in tables if m.topic == topic and m.format == fmt]
         plan.append(
             PlannedTopic(

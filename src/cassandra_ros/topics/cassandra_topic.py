@@ -121,15 +121,15 @@ class CassandraTopic:
         if comment is not None:
             check_text("comment", comment)
         checked = check_user_keys(keys)
-        self._typed("; give metadata= to addTopic")
+        self._typed_tables("; give metadata= to addTopic")
         self._keyspace.schema.change_topic(self.name, lambda m: m.with_user(checked, comment))
 
     @property
     def format(self) -> CassandraTopic_:
         """Format object of the first table; raises TopicNotFound before the first message."""
-        return self._typed()[0].format
+        return self._typed_tables()[0].format
 
-    def _typed(self, remedy: str = "") -> list[TopicTable]:
+    def _typed_tables(self, remedy: str = "") -> list[TopicTable]:
         tables = self.tables
         if not tables:
             none = f"topic {self.name} has no type yet: its first message fixes it"
@@ -277,7 +277,7 @@ class CassandraTopic:
     def _finder(
         self, nodeID: str | None = None, where: Where | None = None, run: RunName = None
     ) -> Finder:
-        whose, tables = self._whose(nodeID, run), self._stored()
+        whose, tables = self._whose(nodeID, run), self._stored_tables()
         key_format = (tables[0] if tables else self._wish).metadata.key_format or "time"
         passing = None
         if where is not None:
@@ -342,17 +342,17 @@ class CassandraTopic:
         """Yield the rows of a read, without making message objects."""
         if isinstance(read.only, Named):
             check_message_name(self.name, read.only.name)
-        return self._keyspace.rows.read(self._stored(), read)
+        return self._keyspace.rows.read(self._stored_tables(), read)
 
     def count(self, read: Read) -> int:
         """Return the number of messages in the time range of a read, of its nodes and writers."""
-        return count_rows(self._keyspace.directory, self._stored(), read)
+        return count_rows(self._keyspace.directory, self._stored_tables(), read)
 
-    def _stored(self) -> WholeTopic:
+    def _stored_tables(self) -> WholeTopic:
         wish = self._wish
         tables = self.tables or self._keyspace.tables.of_topic(self.name, fresh=True)
-        known = (self.name, wish.metadata.format) in self._keyspace.schema.seen
-        if not tables and (known or not wish.pending):
+        was_seen = (self.name, wish.metadata.format) in self._keyspace.schema.seen
+        if not tables and (was_seen or not wish.pending):
             raise TopicNotFound(
                 f"topic {self.name} is not stored in keyspace {self._keyspace.name} any more"
             )

@@ -84,8 +84,8 @@ class Catalog:
         if wanted.indexes:
             check_unnamed(topic, wanted.key_format)
         self.keyspace.schema.tables(fresh=True)
-        format_name = self.keyspace.new_tables.format_for(topic, asked=wanted.format)
-        wish = Wish(wanted.with_(format=format_name), asked=wanted.format != "", pending=True)
+        format_name = self.keyspace.new_tables.format_for(topic, format=wanted.format)
+        wish = Wish(wanted.with_(format=format_name), has_format=wanted.format != "", pending=True)
         stored = self.keyspace.tables.of_topic(topic)
         if format_class(format_name).PACKED:
             check_packed(stored[0].metadata if stored else wish.metadata)
@@ -117,9 +117,9 @@ class Catalog:
     ) -> Definition | None:
         if msg_type is not None:
             return installed_definition(msg_type)
-        found = topic_type(topic) if by_master else None
+        master_type = topic_type(topic) if by_master else None
         try:
-            return None if found is None else installed_definition(found)
+            return None if master_type is None else installed_definition(master_type)
         except DefinitionError as exc:
             _log.info("the type of topic %s is fixed by its first message: %s", topic, exc)
             return None
@@ -266,7 +266,7 @@ class Catalog:
                 indexes={},
                 index_names={},
             )
-            wish = Wish(blank, asked=False, pending=False)
+            wish = Wish(blank, has_format=False, pending=False)
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self.keyspace, self.adder, wish)
 
@@ -391,7 +391,7 @@ class Catalog:
         if len(reads.parts) == 1:
             return self.merged(tables, filters, reads.parts[0], received=received)
         return chain.from_iterable(
-            self.merged(tables, filters, part, received=received) for part in reads.parts
+            self.merged(tables, filters, read, received=received) for read in reads.parts
         )
 
     def merged(
@@ -411,11 +411,11 @@ class Catalog:
         if not any(by_topic.values()):
             return rows_of(free, read)
         streams = [rows_of(free, read)] if free else []
-        for name, own in by_topic.items():
-            if received and any(t.metadata.own_time and not t.named for t in own):
+        for name, topic_tables in by_topic.items():
+            if received and any(t.metadata.own_time and not t.named for t in topic_tables):
                 # Read by receive times, while the condition is read by key times.
-                streams.append(filter(filters[name].test, rows_of(own, read)))
-            elif own:
+                streams.append(filter(filters[name].test, rows_of(topic_tables, read)))
+            elif topic_tables:
                 streams.append(filters[name].rows(read))
         return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))
 

@@ -21,8 +21,8 @@ def topic_facts(directory: Directory, tables: Sequence[TopicTable]) -> dict[str,
     Messages with names are not counted, because that would read all keys.
     """
     facts = {
-        "type": _joined(table.metadata.msg_type for table in tables),
-        "format": _joined(table.metadata.format for table in tables),
+        "type": _join(table.metadata.msg_type for table in tables),
+        "format": _join(table.metadata.format for table in tables),
     }
     if any(table.named for table in tables):
         return {**facts, "messages": f"under names ({tables[0].metadata.key_format})"}
@@ -32,11 +32,11 @@ def topic_facts(directory: Directory, tables: Sequence[TopicTable]) -> dict[str,
     lasts = [info.last_ns for info in infos if info.last_ns is not None]
     if firsts and lasts:
         facts.update({"from": iso_time(min(firsts)), "to": iso_time(max(lasts))})
-    robots = _joined(info.node for info in infos if info.node)
+    robots = _join(info.node for info in infos if info.node)
     return {**facts, "robots": robots} if robots else facts
 
 
-def _joined(texts: Iterable[str]) -> str:
+def _join(texts: Iterable[str]) -> str:
     return ", ".join(dict.fromkeys(texts))
 
 

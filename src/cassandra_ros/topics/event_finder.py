@@ -119,12 +119,12 @@ class Events:
             InvalidOption: It is neither an event nor a text.
         """
         key = event.key if isinstance(event, Event) else event
-        found = self._table.with_key(check_text("event", key, wanted="an event, or its key"))
-        if found is None:
+        stored_event = self._table.with_key(check_text("event", key, wanted="an event, or its key"))
+        if stored_event is None:
             raise EventNotFound(
                 f"{self._not_stored(key)} ('cassandra_bag event list' prints names and keys)"
             )
-        return found
+        return stored_event
 
     def find(
         self,
@@ -171,8 +171,8 @@ class Events:
     ) -> EventTimes:
         """Return the times of the events of a name, for EVENT; see query.protocols.Events."""
         sources: list[protocols.Events] = [self, *others]
-        found = merged_events([source.called(name, like, read) for source in sources])
-        return EventTimes(_bounded(found, repr(name)))
+        events = merged_events([source.called(name, like, read) for source in sources])
+        return EventTimes(_limit(events, repr(name)))
 
     def within(self, time_range: TimeRange) -> list[Event]:
         """Return all events that meet a time range, in order of their starts.
@@ -180,7 +180,7 @@ class Events:
         Raises:
             InvalidOption: There are too many.
         """
-        return list(_bounded(self.find(within=time_range), "of all names"))
+        return list(_limit(self.find(within=time_range), "of all names"))
 
     def chosen(self, choice: EventChoice, read: Read) -> EventTimes:
         """Return the times of the events of a choice that meet a read.
@@ -192,8 +192,8 @@ class Events:
         name, before, after = choice
         low, high = read.time_range
         within = TimeRange(max(0, low - after), min(LAST_NS, high + before))
-        found = self.find(name, within=within, whose=read.whose)
-        times = EventTimes(_bounded(found, repr(name)), before, after)
+        events = self.find(name, within=within, whose=read.whose)
+        times = EventTimes(_limit(events, repr(name)), before, after)
         if not times.ranges:
             raise EventNotFound(self._absent(name))
         return times
@@ -214,7 +214,7 @@ class Events:
         return f"there is no event {name!r:.80} in keyspace {self._keyspace}; {hint}"
 
 
-def _bounded(events: Iterator[_E], names: str) -> Iterator[_E]:
+def _limit(events: Iterator[_E], names: str) -> Iterator[_E]:
     yield from islice(events, MOST_EVENTS)
     if next(events, None) is not None:
         raise InvalidOption(

@@ -16,9 +16,9 @@ from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 _E = TypeVar("_E", bound=NamedTime)
 
 
-def merged_events(found: Iterable[Iterator[_E]]) -> Iterator[_E]:
+def merged_events(streams: Iterable[Iterator[_E]]) -> Iterator[_E]:
     """Yield the events of several stores, each once, by their places; they come by their places."""
-    merged = heapq.merge(*found, key=lambda event: event.order())
+    merged = heapq.merge(*streams, key=lambda event: event.order())
     copies = (list(group) for _, group in groupby(merged, key=lambda event: event.order()))
     # It may have ended in one store and last in a copy.
     return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
@@ -51,7 +51,7 @@ class EventTimes:
             _add(self._by_node.setdefault(event.node, []), wider)
         self.ranges: list[TimeRange] = []
         """The time ranges of all robots together, in order, not overlapping."""
-        for time_range in sorted(each for every in self._by_node.values() for each in every):
+        for time_range in sorted(r for ranges in self._by_node.values() for r in ranges):
             _add(self.ranges, time_range)
 
     def holds(self, node: str, run: str, t: int) -> bool:
@@ -60,8 +60,8 @@ class EventTimes:
 
     def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[tuple[int, int]]:
         """Yield the time ranges in [low, high], ns, ascending or (reverse) descending."""
-        found = [(max(low, a), min(high, b)) for a, b in self.ranges if a <= high and b >= low]
-        return reversed(found) if reverse else iter(found)
+        ranges = [(max(low, a), min(high, b)) for a, b in self.ranges if a <= high and b >= low]
+        return reversed(ranges) if reverse else iter(ranges)
 
     def reads(self, whole: Read) -> list[Read]:
         """Return the reads of the robots' messages during their events, inside of a read.
@@ -76,7 +76,7 @@ class EventTimes:
                     changes += [(max(first, low), node, True), (min(last, high) + 1, node, False)]
         changes.sort()
         active: set[str] = set()  # the time ranges of one robot do not overlap
-        found: list[Read] = []
+        reads: list[Read] = []
         for (t, node, begins), following in zip(changes, [*changes[1:], None]):
             (active.add if begins else active.discard)(node)
             if active and following is not None and following[0] > t:
@@ -84,8 +84,8 @@ class EventTimes:
                 whose = whole.whose.both(Whose(nodes))
                 if not whose.empty:
                     time_range = TimeRange(t, following[0] - 1)
-                    found.append(replace(whole, time_range=time_range, whose=whose))
-        return found
+                    reads.append(replace(whole, time_range=time_range, whose=whose))
+        return reads
 
 
 def _add(ranges: list[TimeRange], later: TimeRange) -> None:

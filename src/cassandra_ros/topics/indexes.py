@@ -246,8 +246,8 @@ class IndexFilling:
         return False
 
     def _is_marked(self, table: TopicTable, row: BucketRow, shadow: str) -> bool:
-        found = self._directory.find(table.name, row.node, row.bucket)
-        return any(one.writer == row.writer and shadow in one.filled for one in found)
+        entries = self._directory.find(table.name, row.node, row.bucket)
+        return any(entry.writer == row.writer and shadow in entry.filled for entry in entries)
 
 
 def _lacks(row: BucketRow, index: IndexField) -> bool:

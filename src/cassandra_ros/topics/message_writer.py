@@ -57,7 +57,6 @@ Wires = Sequence[bytes]
 MAX_COUNTER = (1 << COUNTER_BITS) - 1
 MAX_REMOVALS = 5
 """Number of removals of its topic after which a message that is being written is given up."""
-_TRIES = tuple(reversed(range(MAX_REMOVALS)))
 TABLE_PAUSE_SEC = 0.5
 """Interval at which a silent store is asked for the table that replaces a dropped one, s."""
 MAX_HANDLES = 1024
@@ -83,7 +82,7 @@ class Handle:
     table: TopicTable
     conn: int
     node: str
-    asked: str | None
+    format_wish: str | None
     """Name of the requested format; None = no format was requested."""
     warning: str | None = None
     """Reason for which the topic is stored in another way than requested."""
@@ -219,8 +218,8 @@ class MessageWriter:
                 return handle
             # Another client has renamed or removed the topic.
             like = like or (handle.table.metadata if stored is None else None)
-        asked = Asked(connection, bucket_ns, span_ns, large, key[1], like)
-        new, warning = self._new_table(asked)
+        request = Asked(connection, bucket_ns, span_ns, large, key[1], like)
+        new, warning = self._new_table(request)
         table = self._shared_table(connection, new.metadata)
         if table is None:
             table = self._keyspace.new_tables.make(new.metadata, new.definition, large=new.large)
@@ -236,8 +235,8 @@ class MessageWriter:
         Raises:
             SchemaConflict, StoreUnavailable: The tables cannot be made. Some may have been made.
         """
-        asked = [each._replace(format=each.format or self._format) for each in several]
-        wanted = [(self._new_table(each)[0], each.connection) for each in asked]
+        requests = [request._replace(format=request.format or self._format) for request in several]
+        wanted = [(self._new_table(request)[0], request.connection) for request in requests]
         wanted = [(new, of) for new, of in wanted if new.metadata.md5sum != ANY_MD5]
         if not wanted:
             return
@@ -246,11 +245,11 @@ class MessageWriter:
             [(table.name, of) for table, (_, of) in zip(tables, wanted) if table]
         )
 
-    def _new_table(self, asked: Asked) -> tuple[NewTable, str | None]:
+    def _new_table(self, request: Asked) -> tuple[NewTable, str | None]:
         """Return the table for a connection as it is made if it is missing, and a warning."""
-        connection, like = asked.connection, asked.like
+        connection, like = request.connection, request.like
         check_new_topic(connection.topic)
-        name = asked.format or (like.format if like is not None else None)
+        name = request.format or (like.format if like is not None else None)
         wanted = name or self.format_of(connection)
         definition, warning = usable_definition(connection, wanted)
         metadata = replace(
@@ -259,11 +258,11 @@ class MessageWriter:
             msg_type=connection.type,
             md5sum=connection_kind(connection).md5sum,
             format=wanted if definition is not None else FALLBACK_FORMAT,
-            bucket_ns=asked.bucket_ns or 0,
-            span_ns=asked.span_ns or 0,
+            bucket_ns=request.bucket_ns or 0,
+            span_ns=request.span_ns or 0,
             definition=definition.text if definition else connection.definition_text,
         )
-        return NewTable(metadata, definition, asked.large), warning
+        return NewTable(metadata, definition, request.large), warning
 
     def _shared_table(self, connection: Connection, new: TopicMetadata) -> TopicTable | None:
         """Return the table for several types that already has messages of this connection."""
@@ -331,20 +330,20 @@ class MessageWriter:
         while handle.table.name in self._rows.gone:
             if self._given:
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
-            later = self._known(handle)
+            later = self._latest_handle(handle)
             if later is None:
                 # One thread makes the table; those with rows of the removed table wait for it.
                 with self._renewing:
-                    later = self._known(handle) or self._connect_anew(handle)
+                    later = self._latest_handle(handle) or self._connect_anew(handle)
             if handle.table.name not in self._told:
                 self._tell_moved(handle, later)
             handle = later
         return handle
 
-    def _known(self, handle: Handle) -> Handle | None:
+    def _latest_handle(self, handle: Handle) -> Handle | None:
         """Return the latest handle of a handle's connection; None if its table was removed, too."""
         with self._mutex:
-            latest = self._handles.get((handle.connection, handle.asked, handle.node))
+            latest = self._handles.get((handle.connection, handle.format_wish, handle.node))
         return None if latest is None or latest.table.name in self._rows.gone else latest
 
     def _connect_anew(self, handle: Handle) -> Handle:
@@ -359,7 +358,7 @@ class MessageWriter:
             like.bucket_ns,
             span_ns=like.span_ns,
             large=handle.table.has_chunks,
-            format=handle.asked,
+            format=handle.format_wish,
             node=handle.node,
             like=like,
         )
@@ -407,15 +406,16 @@ class MessageWriter:
         try:
             if blocks is not None and blocks.take(t_ns, seq, wire):
                 return None
-            for left in _TRIES:
+            tries = 1
+            while True:
                 try:
                     if handle.table.name in self._rows.gone:
                         return self._put(self._current(handle), t_ns, seq, wire, name)
                     return self._put(handle, t_ns, seq, wire, name)
                 except GONE:  # another client removed it: it goes on in a new table
-                    if not left:
+                    if tries == MAX_REMOVALS:
                         raise
-            raise AssertionError("the loop above returns or raises")
+                    tries += 1
         except CassandraRosError as exc:
             if self._take_back is not None and isinstance(exc, StoreUnavailable):
                 self._take_back(handle, t_ns, counter, wire)
@@ -506,8 +506,8 @@ class MessageWriter:
         with self._mutex:
             parts = [*self._rows.stats.items(), *self._refused.items()]
             topics = dict(self._topics)
-        for name, part in parts:
-            stats.setdefault(topics.get(name, name), WriteStats()).add(part)
+        for name, counts in parts:
+            stats.setdefault(topics.get(name, name), WriteStats()).add(counts)
         return stats
 
     def hurry(self, seconds: float) -> None:
@@ -545,9 +545,9 @@ class MessageWriter:
         if self._run is not None and self._take_back is None:
             stats = self.stats()
             # What an earlier import of the same file has stored of other topics is still there.
-            stored = {**self._run.stored, **{t: part.stored for t, part in stats.items()}}
+            stored = {**self._run.stored, **{t: counts.stored for t, counts in stats.items()}}
             if lost is None:
-                lost = {topic: part.lost for topic, part in stats.items() if part.lost}
+                lost = {topic: counts.lost for topic, counts in stats.items() if counts.lost}
                 lost = {**self._run.lost, **lost}
             run = replace(self._run, stored=stored, lost=lost)
             self._keyspace.registry.put_run(run, ended=True)

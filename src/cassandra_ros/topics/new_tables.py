@@ -80,7 +80,7 @@ class Wish:
 
     metadata: TopicMetadata
     """Metadata without a type; key_format '' = as stored, else 'time'; indexes are to be made."""
-    asked: bool
+    has_format: bool
     """Whether addTopic named the format; otherwise it is the stored one."""
     pending: bool
     """Whether it was added in this process and may have no table yet."""
@@ -89,7 +89,7 @@ class Wish:
         """Raise TopicExists if the topic is stored with other values than requested."""
         wrong, wanted = [], self.metadata
         if definition is not None and not definition.kind.fits(kind_of(stored)):
-            wrong.append(f"type {type_texts(stored, _typed(wanted, definition))[0]}")
+            wrong.append(f"type {type_texts(stored, _with_type(wanted, definition))[0]}")
         key = (wanted.key_format, wanted.key_part)
         if wanted.key_format and key != (stored.key_format, stored.key_part):
             wrong.append(f"key_format {stored.key_format} {stored.key_part}".rstrip())
@@ -126,15 +126,15 @@ class NewTables:
         self._schema = schema
         self._tables = tables
 
-    def format_for(self, topic: str, md5sum: str = "", asked: str | None = None) -> str:
+    def format_for(self, topic: str, md5sum: str = "", format: str | None = None) -> str:
         """Return the format for new messages of a topic.
 
         It is the requested one (raises UnknownFormat). Without a request it is that of the table
         made last, for this md5 if there is one, so a stored topic stays in its format.
         """
-        if asked is not None and asked != "":
-            format_class(asked)
-            return asked
+        if format is not None and format != "":
+            format_class(format)
+            return format
         listing = self._schema.listing()
         tables = [listing.visible[table] for table in listing.by_topic.get(topic, ())]
         return stored_format(tables, md5sum) if tables else DEFAULT_FORMAT
@@ -178,7 +178,7 @@ class NewTables:
         """Find or make the table for messages of this definition, in the requested format."""
         for path in wish.metadata.indexes:
             IndexField(definition, path, "")  # raises InvalidName if there is no such field
-        table = self.make(_typed(wish.metadata, definition), definition)
+        table = self.make(_with_type(wish.metadata, definition), definition)
         wish.check(table.metadata, None)  # another client may have made it first
         return table
 
@@ -194,10 +194,10 @@ class NewTables:
         tables = self._tables.of_topic(topic)
         fitting = [table for table in tables if table.kind == definition.kind]
         wished = [t for t in fitting if t.metadata.format == wish.metadata.format]
-        if wished or (fitting and not wish.asked):
+        if wished or (fitting and not wish.has_format):
             return (wished or fitting)[0]
         if tables and not any(table.kind.fits(definition.kind) for table in tables):
-            stored, given = type_texts(tables[0].metadata, _typed(wish.metadata, definition))
+            stored, given = type_texts(tables[0].metadata, _with_type(wish.metadata, definition))
             raise TypeMismatch(
                 f"topic {topic} holds {stored}, the message is {given}; nothing was stored: store "
                 "it under another topic"
@@ -205,7 +205,7 @@ class NewTables:
         return self.for_wish(wish, definition)
 
 
-def _typed(wanted: TopicMetadata, definition: Definition) -> TopicMetadata:
+def _with_type(wanted: TopicMetadata, definition: Definition) -> TopicMetadata:
     """Return metadata with the type of a definition."""
     kind, md5sum, text = definition.type, definition.md5sum, definition.text
     return wanted.with_(msg_type=kind, md5sum=md5sum, definition=text)
@@ -273,16 +273,16 @@ def _indexed(
             if definition is None:
                 none = "has no usable definition to find a key field in"
                 raise InvalidKey(f"{metadata.msg_type} {none}")
-            part = KeyPart(definition, metadata.key_part)
+            key_part = KeyPart(definition, metadata.key_part)
         except InvalidKey as exc:
             if new:
                 raise
             _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
         else:
-            metadata = metadata.with_(own_time=part.is_time)
-            if not part.is_time:
-                metadata = metadata.with_index(part.field, 0)
-                shadows[shadow_column(0)] = part.cql_type
+            metadata = metadata.with_(own_time=key_part.is_time)
+            if not key_part.is_time:
+                metadata = metadata.with_index(key_part.field, 0)
+                shadows[shadow_column(0)] = key_part.cql_type
     for path in wished:
         if definition is None or metadata.named or path in metadata.indexes:
             continue
@@ -298,18 +298,18 @@ def _indexed(
 
 def check_packed(metadata: TopicMetadata, definition: Definition | None = None) -> None:
     """Raise InvalidOption if messages cannot be in blocks, because their key is not a time."""
-    key_format, part = metadata.key_format, metadata.key_part
+    key_format, key_part = metadata.key_format, metadata.key_part
     if key_format not in NAMED_FORMATS and key_format != "msg_part":
         return
     if key_format == "msg_part":
         if definition is None:
             return
         try:
-            if KeyPart(definition, part).is_time:
+            if KeyPart(definition, key_part).is_time:
                 return
         except InvalidKey:
             return  # these messages are found by time
-    what = f"key_part={part!r}, which is no time" if part else f"key_format={key_format!r}"
+    what = f"key_part={key_part!r}, which is no time" if key_part else f"key_format={key_format!r}"
     raise InvalidOption(
         f"topic {metadata.topic} cannot be kept in format packed, whose messages lie in blocks by "
         f"their time, with {what}: choose another format for it, or key_format='time' for a new "

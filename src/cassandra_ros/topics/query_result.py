@@ -233,8 +233,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._matched = False
         """Whether a message satisfied the condition so far."""
         self.counted = bool(select.counts and bounds.whole and bounds.read.only is None)
-        left = None if select.limit is None else max(0, select.limit - place.given)
-        self._left = min((n for n in (left, limit) if n is not None), default=None)
+        rest = None if select.limit is None else max(0, select.limit - place.given)
+        self._left = min((n for n in (rest, limit) if n is not None), default=None)
         read = replace(
             bounds.read,
             reverse=select.descending,
@@ -242,8 +242,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             chooser=self.pushdown,
             wanted=None if select.gathers else self._left,
         )
-        self._bounds = self._spanned(replace(bounds, read=read))
-        self._rows = self._gathered(place.given) if select.gathers else self._selected(place)
+        self._bounds = self._restrict(replace(bounds, read=read))
+        self._rows = self._gather(place.given) if select.gathers else self._select_rows(place)
         if after in (None, "") and self._left != 0 and names_anything(select.condition):
             self._rows = self._telling(self._rows)
 
@@ -296,13 +296,13 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             condition, tables = self.select.condition, self._source.tables
             self.hints += warn_of_unknown_names(condition, tables, self._bounds.read)
 
-    def _selected(self, place: ResultPlace) -> _Rows:
+    def _select_rows(self, place: ResultPlace) -> _Rows:
         given = place.given
         last = None if self._left is None else given + self._left
         if last == given:
             return
         seen, table = place.position, None
-        for row in self._stored(place):
+        for row in self._stored_rows(place):
             if row.table is not table:
                 table = row.table
                 rows = self._projections.of(table).rows
@@ -325,7 +325,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                         return
                 values = following
 
-    def _stored(self, place: ResultPlace) -> Iterator[Row]:
+    def _stored_rows(self, place: ResultPlace) -> Iterator[Row]:
         at, bounds = place.position, self._bounds
         reverse = bounds.read.reverse
         if at is None or not (place.skip or reverse):
@@ -348,29 +348,29 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self._watch()
             yield row
 
-    def _spanned(self, bounds: Bounds) -> Bounds:
+    def _restrict(self, bounds: Bounds) -> Bounds:
         """Return bounds restricted to the time ranges of NEAR and EVENT, and count these ranges."""
         self._spans, self.time_ranges = spans_of(self.select.condition), 0
-        return replace(bounds, spans=None if self._spans is None else self._counted_spans)
+        return replace(bounds, spans=None if self._spans is None else self._count_spans)
 
-    def _counted_spans(self, low: int, high: int, reverse: bool) -> Iterator[NsRange]:
+    def _count_spans(self, low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         for span in () if self._spans is None else self._spans(low, high, reverse):
             self.time_ranges += 1
             self._watch()
             yield span
 
-    def _gathered(self, given: int) -> _Rows:
+    def _gather(self, given: int) -> _Rows:
         """Yield rows that are made from several rows, after the first ``given`` ones."""
         one = bool(self.select.aggregates) and not self.select.group
         if (given and one) or self._left == 0:
             return
         last = None if self._left is None else given + self._left
-        for row in islice(self._made(last), given, last):
+        for row in islice(self._make_rows(last), given, last):
             given += 1
             self._place = ResultPlace(given, 0, _NOWHERE)
             yield row
 
-    def _made(self, most: int | None) -> Iterator[ResultRow]:
+    def _make_rows(self, most: int | None) -> Iterator[ResultRow]:
         select, bounds, projections = self.select, self._bounds, self._projections
         if self.counted and not bounds.empty:
             count = self._source.count(bounds.read)
@@ -410,9 +410,9 @@ class Rows(list):  # type: ignore[type-arg]
         return f"[{', '.join(map(repr, first))}, … {len(self)} rows of {', '.join(self.columns)}]"
 
     def _repr_html_(self) -> str:
-        first = [list(map(_shown, row)) for row in super().__getitem__(slice(MOST_ROWS))]
+        first = [list(map(_show, row)) for row in super().__getitem__(slice(MOST_ROWS))]
         return html_table(self.columns, first, of=len(self))
 
 
-def _shown(value: object) -> object:
+def _show(value: object) -> object:
     return iso_time(to_ns(value)) if is_time(value) else value

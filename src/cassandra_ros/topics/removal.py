@@ -85,8 +85,8 @@ def _delete_blocks(space: Keyspace, partition: _Partition, read: Read) -> int:
 
 def _delete_between(space: Keyspace, partition: _Partition, read: Read) -> int:
     table, node, bucket = partition
-    found = scan_keys(table, node, int(bucket), *read.time_range)
-    keys = ((t, seq, large) for t, seq, _, large, _ in found if read.whose.wrote(seq))
+    rows = scan_keys(table, node, int(bucket), *read.time_range)
+    keys = ((t, seq, large) for t, seq, _, large, _ in rows if read.whose.wrote(seq))
     deleted = 0
     while some := list(islice(keys, ROWS_AT_ONCE)):
         _delete_some(space, partition, some)
@@ -129,7 +129,7 @@ def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us
     for row, goes in rated:
         if row.table.packed:  # from the first row on, or if the topic was converted meanwhile
             rest = chain([(row, goes)], rated)
-            deleted += delete_rows(space, (each for each, goes in rest if goes))
+            deleted += delete_rows(space, (other for other, goes in rest if goes))
             break
         mine = runs.setdefault(_partition_of(row), [[]])
         if goes:
@@ -199,12 +199,12 @@ def _delete_bucket(space: Keyspace, partition: _Partition, low: int, high: int, 
     table, node, where = partition
     bucket = int(where)
     space.schema.listing().check_staying(table.name)
-    found = [row for row in scan_written(table, node, bucket, low, high) if row[3] <= until]
-    keys = [(t, seq, large) for t, seq, large, _ in found]
+    rows = [row for row in scan_written(table, node, bucket, low, high) if row[3] <= until]
+    keys = [(t, seq, large) for t, seq, large, _ in rows]
     if keys:
         marked = _mark_deleted(space.directory, table, node, bucket)
         # Rows that arrive in the range now, and were not counted, are newer than all of these.
-        newest = max(written for *_, written in found)
+        newest = max(written for *_, written in rows)
         params = (newest, node, bucket, *keys[0][:2], *keys[-1][:2])
         statement = table.delete_range(older=True)
         space.cassandra.execute(statement, params, what=_deleting(table))

@@ -126,7 +126,7 @@ class Finder:
         return count
 
     def _remove(self, read: Read) -> int:
-        if read.only is None and self.where is None and not self._named:
+        if read.only is None and self.where is None and not self._is_named:
             return delete_time_range(self.keyspace, self.tables, read)
         return delete_rows(self.keyspace, self._rows(read, bare=True))
 
@@ -229,7 +229,7 @@ class Finder:
         )
 
     @property
-    def _named(self) -> bool:
+    def _is_named(self) -> bool:
         return self.key_format in NAMED_FORMATS
 
     @cached_property
@@ -240,13 +240,13 @@ class Finder:
         """Return the read of the time range from key to to_key, or of the messages with one key."""
         if key is None and to_key is None:
             return Read(whose=self.whose)
-        if self._named and to_key is not None:
+        if self._is_named and to_key is not None:
             raise InvalidKey(
                 f"messages of topic {self.topic} are kept under names (key_format "
                 f"{self.key_format}), and names have no order: there is no range between two of "
                 "them; give one key, or none for all"
             )
-        if to_key is None and (self._named or self._is_value(key)):
+        if to_key is None and (self._is_named or self._is_value(key)):
             return self.one(key)
         if self._is_value(key) or self._is_value(to_key):
             raise InvalidKey(
@@ -258,7 +258,7 @@ class Finder:
 
     def one(self, key: AnyKey) -> Read:
         """Return the read of the messages with a single key: a time, a name, or a value."""
-        if self._named:
+        if self._is_named:
             return Read(whose=self.whose, only=Named(check_message_name(self.topic, key)))
         if self._is_value(key):
             return Read(whose=self.whose, only=Valued(key))
@@ -270,7 +270,7 @@ class Finder:
 
     def of_text(self, text: str) -> AnyKey:
         """Return the key in a text that a user typed; see CassandraTopic.keyOfText."""
-        if self._named or any(table.named for table in self.tables):
+        if self._is_named or any(table.named for table in self.tables):
             return text
         if self._parts:
             return Stamp.from_ns(to_ns(text)) if is_iso_text(text) else self._value(text)
@@ -283,9 +283,9 @@ class Finder:
         Text fields last: they accept all.
         """
         problem: InvalidKey | None = None
-        for part in sorted(self._parts, key=lambda part: part.is_text):
+        for key_part in sorted(self._parts, key=lambda key_part: key_part.is_text):
             try:
-                return part.from_text(text)
+                return key_part.from_text(text)
             except InvalidKey as exc:
                 problem = problem or exc
         raise problem or InvalidKey(f"{text!r:.80} is no key")

@@ -63,17 +63,17 @@ class RowReader:
         if isinstance(read.only, Named):
             rows: Iterable[TableRow] = self._versions(tables, read.only, read)
         elif read.only is not None:
-            rows = self._valued(tables, read.only, read)
+            rows = self._by_value(tables, read.only, read)
         else:
-            rows = self._timed(tables, read)
-        yield from self._stored(rows, tables)
+            rows = self._by_time(tables, read)
+        yield from self._stored_rows(rows, tables)
 
-    def _timed(self, tables: Sequence[TopicTable], read: Read) -> Iterable[TableRow]:
+    def _by_time(self, tables: Sequence[TopicTable], read: Read) -> Iterable[TableRow]:
         timed = [table for table in tables if not table.named]
         rows: Iterable[TableRow] = read_rows(self._directory, timed, read)
         if len(timed) == len(tables):
             return rows
-        named = self._named([t for t in tables if t.named], read)
+        named = self._by_name([t for t in tables if t.named], read)
         return heapq.merge(rows, named, key=lambda row: row.position, reverse=read.reverse)
 
     def blocks(self, tables: Sequence[TopicTable], read: Read) -> Iterator[MessageBlock] | None:
@@ -85,7 +85,7 @@ class RowReader:
             return None
         return messages_of(read_blocks(self._directory, tables, read), tables)
 
-    def _stored(
+    def _stored_rows(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
     ) -> Iterator[StoredRow]:
         if len(tables) == 1:
@@ -97,7 +97,7 @@ class RowReader:
             self._cassandra.require_open()  # so that an iterator ends when the connection is closed
             yield row
 
-    def _named(self, tables: Sequence[TopicTable], read: Read) -> Iterator[TableRow]:
+    def _by_name(self, tables: Sequence[TopicTable], read: Read) -> Iterator[TableRow]:
         low, high = read.time_range
         keys = [
             RowKey(table, key.position)
@@ -118,23 +118,25 @@ class RowReader:
         for table in tables:
             if table.named:
                 nodes_listed = {node for _, node in self._directory.nodes(table.name, 0, 0)}
-                asked = sorted(nodes_listed if nodes is None else nodes_listed.intersection(nodes))
-                streams.append(versions(table, only.name, asked, reverse=read.reverse))
+                names = sorted(nodes_listed if nodes is None else nodes_listed.intersection(nodes))
+                streams.append(versions(table, only.name, names, reverse=read.reverse))
         merged = heapq.merge(*streams, key=lambda row: row.position, reverse=read.reverse)
         return (row for row in merged if read.whose.has(row) and _inside(row.position, read))
 
-    def _valued(self, tables: Sequence[TopicTable], only: Valued, read: Read) -> Iterator[TableRow]:
+    def _by_value(
+        self, tables: Sequence[TopicTable], only: Valued, read: Read
+    ) -> Iterator[TableRow]:
         keys: list[Iterator[RowKey]] = []
         problems: list[InvalidKey] = []
         parts = [(table, table.value_part) for table in tables if table.value_part is not None]
-        for table, part in parts:
+        for table, key_part in parts:
             try:
-                value = part.encode(only.value)
+                value = key_part.encode(only.value)
             except InvalidKey as exc:
                 problems.append(exc)
                 continue
             if value is not None:
-                keys.append(self._keys_of(table, part, value, read.whose))
+                keys.append(self._keys_of(table, key_part, value, read.whose))
         if problems and len(problems) == len(parts):
             raise problems[0]  # the field has the value's type in none of the tables
         merged: Iterable[RowKey] = heapq.merge(*keys, key=lambda key: key.position)
@@ -142,17 +144,17 @@ class RowReader:
         yield from fetch_rows(reversed(list(merged)) if read.reverse else merged)
 
     def _keys_of(
-        self, table: TopicTable, part: KeyPart, wanted: bytes, whose: Whose
+        self, table: TopicTable, key_part: KeyPart, wanted: bytes, whose: Whose
     ) -> Iterator[RowKey]:
-        index = part.index(wanted)
+        index = key_part.index(wanted)
         if index is not None:
-            shadow = table.metadata.indexes[part.field]
+            shadow = table.metadata.indexes[key_part.field]
             keys = keys_by_shadow(self._directory, table, shadow, index, whose.nodes)
             yield from (key for key in keys if whose.wrote(key.position.seq))
             return
         # The text is too long for the index: its rows are marked as odd.
         for row in self.read([table], Read(whose=whose)):
-            if row.odd and part.value(row.wire) == wanted:
+            if row.odd and key_part.value(row.wire) == wanted:
                 yield RowKey(table, row.position)
 
     def received(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
@@ -161,7 +163,7 @@ class RowReader:
         For topics whose key is a time in the message all keys are listed first.
         """
         foreign = {t.name: t for t in tables if t.metadata.own_time and not t.named}
-        own = self.read([t for t in tables if t.name not in foreign], read)
+        rows = self.read([t for t in tables if t.name not in foreign], read)
         low, high = read.time_range
         listing = Read(whose=read.whose, columns=lambda table: ())
         keys = sorted(
@@ -170,8 +172,8 @@ class RowReader:
             if low <= r.received <= high
         )
         row_keys = (RowKey(foreign[position.table], position) for *_, position in keys)
-        late = self._stored(fetch_rows(row_keys), tables)
-        return heapq.merge(own, late, key=lambda row: row.arrival)
+        late = self._stored_rows(fetch_rows(row_keys), tables)
+        return heapq.merge(rows, late, key=lambda row: row.arrival)
 
     def exact(self, table: TopicTable, key: Stamp | RowName) -> StoredRow | None:
         """Return one row by a key that the store gave: one SELECT."""
@@ -186,7 +188,7 @@ class RowReader:
         if read.whose.writers is not None:  # the first row may be of another writer
             return next(self.read(timed, replace(read, wanted=1)), None)
         row = first_at(self._directory, timed, read.time_range.low, read.whose.nodes)
-        return next(self._stored([] if row is None else [row], tables), None)
+        return next(self._stored_rows([] if row is None else [row], tables), None)
 
     def beside(
         self, tables: Sequence[TopicTable], t: int, whose: Whose, ways: Sequence[bool]
@@ -198,7 +200,7 @@ class RowReader:
         if whose.writers is not None or any(table.named for table in tables):
             return None
         rows = beside(self._directory, tables, t, whose.nodes, ways) if tables else None
-        return None if rows is None else list(self._stored(rows, tables))
+        return None if rows is None else list(self._stored_rows(rows, tables))
 
 
 def _inside(position: Position, read: Read) -> bool:
@@ -234,14 +236,14 @@ def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
     while True:
         try:
             done = work(tables)
-            if not _left(tables):
+            if not _was_replaced(tables):
                 return done
             tables = current(tables)
         except TopicNotFound as exc:
-            tables = _replaced(tables, exc)
+            tables = _present_tables(tables, exc)
 
 
-def _left(tables: Tables) -> bool:
+def _was_replaced(tables: Tables) -> bool:
     """Return whether one of the tables was replaced, so that it may have been dropped.
 
     Then the directory may have no entries of it any more, and less than everything was read. The
@@ -255,7 +257,7 @@ def _same(tables: Tables, now: Tables) -> bool:
     return now is tables or {table.name for table in now} == {table.name for table in tables}
 
 
-def _replaced(tables: Tables, gone: TopicNotFound) -> Tables:
+def _present_tables(tables: Tables, gone: TopicNotFound) -> Tables:
     """Return the present tables; raise the error if none of them is new."""
     now = current(tables, fresh=True)
     if _same(tables, now):
@@ -280,7 +282,7 @@ class FollowingReader:
             try:
                 rows = self._rows.read(tables, replace(read, after=behind))
                 first = next(rows, None)
-                if last is None and _left(tables):
+                if last is None and _was_replaced(tables):
                     continue  # no row was yielded yet
                 if first is not None:
                     tables = list(tables)  # tables made from now on need not be read
@@ -289,16 +291,16 @@ class FollowingReader:
                 for row in rows:
                     last = row
                     yield row
-                if not _left(tables):
+                if not _was_replaced(tables):
                     return
             except TopicNotFound as exc:
-                tables = _replaced(tables, exc)
+                tables = _present_tables(tables, exc)
 
     def blocks(self, tables: Tables, read: Read) -> Iterator[MessageBlock] | None:
         """Read whole blocks, like RowReader; raises TopicNotFound if a table was replaced."""
         tables = current(tables)
-        found = self._rows.blocks(tables, read)
-        return None if found is None else _unless_left(tables, found)
+        stream = self._rows.blocks(tables, read)
+        return None if stream is None else _unless_replaced(tables, stream)
 
     def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times."""
@@ -311,10 +313,10 @@ class FollowingReader:
                     if given is None or row.arrival[:3] > given:
                         last = row
                         yield row
-                if not _left(tables):
+                if not _was_replaced(tables):
                     return
             except TopicNotFound as exc:
-                tables = _replaced(tables, exc)
+                tables = _present_tables(tables, exc)
 
     def exact(self, table: TopicTable, key: Stamp | RowName) -> StoredRow | None:
         """Return one row by a key that the store gave: one SELECT."""
@@ -334,9 +336,9 @@ class FollowingReader:
         return followed(tables, lambda now: self._rows.beside(now, t, whose, ways))
 
 
-def _unless_left(tables: Tables, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+def _unless_replaced(tables: Tables, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
     yield from blocks
-    if _left(tables):
+    if _was_replaced(tables):
         raise TopicNotFound("a table was replaced while it was read")
 
 
@@ -349,21 +351,21 @@ def messages_of(
     """Yield the messages to read of blocks; large messages, each a block of one, come last."""
     by_name = {table.name: table for table in tables}
     large: deque[StoredRow] = deque()
-    for part, opened in blocks:
-        table, block, row = by_name[part.table.name], opened.block, opened.row
+    for bucket, opened in blocks:
+        table, block, row = by_name[bucket.table.name], opened.block, opened.row
         if block is None or block.unpacked is None:
-            large += [StoredRow(each, table) for each in part.rows(opened)]
+            large += [StoredRow(table_row, table) for table_row in bucket.rows(opened)]
             continue
         places, run = opened.places, partial(table.runs.text, row.writer)
         times, seqs = block.times[places], block.seqs[places]
-        groups = _chosen(block.unpacked, places)
-        yield MessageBlock(table, part.node, run, times, seqs, groups)
+        groups = _choose(block.unpacked, places)
+        yield MessageBlock(table, bucket.node, run, times, seqs, groups)
     # Rows are dropped one by one, because each keeps the bytes that were read of it.
     rows = (large.popleft() for _ in range(len(large)))
     yield from filter(None, map(_alone, chunks_ahead(rows)))
 
 
-def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array, Planes]]:
+def _choose(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array, Planes]]:
     if len(places) == len(unpacked):
         return [(g.members, planes_of(g.stored, g.rises)) for g in unpacked.groups]
     mask = np.zeros(len(unpacked), bool)

@@ -64,18 +64,18 @@ class Runs:
             RunNotFound: There is no such run; the text has similar names.
             InvalidName: ``run`` is neither a text nor a writer id.
         """
-        runs = self._known(check_run(run))
+        runs = self._matches(check_run(run))
         if not runs:
             raise RunNotFound(self._absent(run))
         return runs
 
-    def _known(self, run: RunName) -> list[Run]:
+    def _matches(self, run: RunName) -> list[Run]:
         every = sorted(self._registry.runs(), key=_began, reverse=True)
         text = str(run)
         for matches in (
-            [each for each in every if each.name == run and run],
-            [each for each in every if str(each.writer) == text],
-            [each for each in every if os.sep in text and each.source == _absolute(text)],
+            [other for other in every if other.name == run and run],
+            [other for other in every if str(other.writer) == text],
+            [other for other in every if os.sep in text and other.source == _absolute(text)],
         ):
             if matches:
                 return matches
@@ -83,14 +83,14 @@ class Runs:
 
     def describe_several(self, run: str) -> str:
         """Say which runs a name means; '' = not several."""
-        runs = self._known(run)
+        runs = self._matches(run)
         return describe_runs(runs) if len(runs) > 1 else ""
 
     def writers(self, run: RunName) -> Writers:
         """Return the writer ids of a run, or of all runs with its name; raises like find."""
         if run is None or isinstance(run, frozenset):
             return run
-        writers = frozenset(each.writer for each in self._known(check_run(run)))
+        writers = frozenset(other.writer for other in self._matches(check_run(run)))
         writer = _writer(str(run))
         if not writers and writer is not None and self._has_written(writer):
             writers = frozenset([writer])
@@ -102,7 +102,7 @@ class Runs:
         """Return the writer ids for which ``self.text`` returns ``text``."""
         with self._mutex:
             texts = self._learn()  # later calls of text() for single rows agree with this
-        writers = {writer for writer, known in texts.items() if known == text}
+        writers = {writer for writer, run_text in texts.items() if run_text == text}
         writer = _writer(text)
         return frozenset(writers if writer is None or writer in texts else writers | {writer})
 
@@ -148,10 +148,10 @@ class Runs:
 
     def _learn(self) -> dict[int, str]:
         """Read the names of the writers' runs; a repeated import may change them."""
-        found = {each.writer: each.name or str(each.writer) for each in self._registry.runs()}
+        texts = {run.writer: run.name or str(run.writer) for run in self._registry.runs()}
         until = time.monotonic() + FRESH_SEC
-        self._texts.update((writer, (text, until)) for writer, text in found.items())
-        return found
+        self._texts.update((writer, (text, until)) for writer, text in texts.items())
+        return texts
 
     def _absent(self, run: RunName) -> str:
         text, runs = str(run), self._registry.runs()
@@ -163,17 +163,17 @@ class Runs:
             if base and base in (other.name, str(other.writer), os.path.basename(other.source))
         ]
         if len(alike) > 1:
-            return f"{where}; did you mean one of these: {_described(alike)}?"
+            return f"{where}; did you mean one of these: {_describe(alike)}?"
         for other in alike:
             return f"{where}; did you mean {other.name or other.writer}, run {other.writer}?"
-        known = {other.name or str(other.writer) for other in runs}
-        return f"{where}; {_similar(text, known, 'runs')}"
+        names = {other.name or str(other.writer) for other in runs}
+        return f"{where}; {_similar(text, names, 'runs')}"
 
     def nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
         """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
         runs = [run for run in self._registry.runs() if run.writer in writers]
-        known = {run.writer for run in runs} == writers
-        return frozenset(run.node for run in runs) if known and writers else None
+        has_runs = {run.writer for run in runs} == writers
+        return frozenset(run.node for run in runs) if has_runs and writers else None
 
     def context(self, run: RunName) -> RunContext | None:
         """Return parameters and node graph at the start of a run; None if they were not stored."""
@@ -201,10 +201,10 @@ class Runs:
 
 def describe_runs(runs: Sequence[Run]) -> str:
     """Tell apart, in words, runs that have the name of the first."""
-    return f"{len(runs)} runs are called {runs[0].name}: {_described(runs)}"
+    return f"{len(runs)} runs are called {runs[0].name}: {_describe(runs)}"
 
 
-def _described(runs: Sequence[Run]) -> str:
+def _describe(runs: Sequence[Run]) -> str:
     descriptions = [
         f"{run.writer}{f' of robot {run.node}' if run.node else ''}"
         + (f" (from {run.source})" if run.source else "")
@@ -215,15 +215,15 @@ def _described(runs: Sequence[Run]) -> str:
     return ", ".join(descriptions)
 
 
-def _similar(name: str, known: Collection[str], what: str) -> str:
+def _similar(name: str, names: Collection[str], what: str) -> str:
     """Return a hint with the known names that are similar, or that there are few, or how many."""
-    lowered = {other.lower(): other for other in sorted(known)}
+    lowered = {other.lower(): other for other in sorted(names)}
     near = difflib.get_close_matches(name.lower(), lowered, n=_MOST_NAMED, cutoff=0.5)
     if near:
         return f"did you mean {', '.join(lowered[other] for other in near)}?"
-    if 0 < len(known) <= _MOST_NAMED:
-        return f"it holds the {what} {', '.join(sorted(known))}"
-    return f"it holds {len(known)} {what}"
+    if 0 < len(names) <= _MOST_NAMED:
+        return f"it holds the {what} {', '.join(sorted(names))}"
+    return f"it holds {len(names)} {what}"
 
 
 def _absolute(path: str) -> str:

@@ -37,12 +37,12 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> list[Run]:
     A run without a sign of life for STALE_SEC is interrupted.
     """
     runs, signs = space.registry.runs(), space.registry.signs()
-    left = frozenset(run.writer for run in runs if not _has_ended(run))
+    open_writers = frozenset(run.writer for run in runs if not _has_ended(run))
     held: dict[int, _StoredCounts] = {}
-    if left:
-        held = followed(tables, lambda now: _held(space.directory, now, left))
+    if open_writers:
+        held = followed(tables, lambda now: _count_stored(space.directory, now, open_writers))
     lost: dict[int, Counts[str]] = {}
-    for loss in space.registry.losses() if left else ():
+    for loss in space.registry.losses() if open_writers else ():
         lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count
     listed: list[Run] = []
     for run in runs:
@@ -64,7 +64,7 @@ def _has_ended(run: Run) -> bool:
     return run.ended is not None and (run.started is None or run.started <= run.ended)
 
 
-def _held(
+def _count_stored(
     directory: Directory, tables: Sequence[TopicTable], writers: frozenset[int]
 ) -> dict[int, _StoredCounts]:
     """Count the stored messages of some writers, by the directory where possible."""

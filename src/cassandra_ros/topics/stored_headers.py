@@ -31,12 +31,12 @@ class ConnectionCache:
 
     def put_all(self, connections: Sequence[tuple[str, Connection]]) -> list[int]:
         """Write connections of tables (by name) together; return their numbers."""
-        new = {each: _conn(each[1]) for each in connections if each not in self._stored}
+        new = {pair: _conn(pair[1]) for pair in connections if pair not in self._stored}
         if new:
             self._registry.put_headers(
                 [(table, number, _cut(of)) for (table, of), number in new.items()]
             )
-        numbers = [new[each] if each in new else self._stored[each] for each in connections]
+        numbers = [new[pair] if pair in new else self._stored[pair] for pair in connections]
         if len(self._stored) + len(new) > MAX_KNOWN:
             self._stored = {}
         self._stored.update(new)
@@ -53,12 +53,12 @@ class ConnectionCache:
                 f"connection header {conn} of table {table} is missing: the side tables "
                 "cr_connection and cr_definition were changed by hand; import or record again"
             )
-        return _joined(row)
+        return _join(row)
 
     def of_tables(self, tables: Container[str]) -> Iterator[tuple[str, int, Connection]]:
         """Yield the connections of some tables by name: (table, number, connection)."""
         for table, conn, row in self._registry.headers(tables):
-            yield table, conn, _joined(row)
+            yield table, conn, _join(row)
 
 
 def _conn(connection: Connection) -> int:
@@ -74,6 +74,6 @@ def _cut(connection: Connection) -> StoredHeader:
     return StoredHeader(connection.topic, number, header, offset, md5sum, definition)
 
 
-def _joined(row: StoredHeader) -> Connection:
+def _join(row: StoredHeader) -> Connection:
     header = join_definition(row.header, row.def_offset, row.definition)
     return Connection(row.topic, header, row.number)

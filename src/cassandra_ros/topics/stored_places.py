@@ -52,7 +52,7 @@ class StoredPlaces:
         directory, whose = self._keyspace.directory, Whose([node])
 
         def extents(tables: Sequence[TopicTable]) -> list[Extent]:
-            found = []
+            ranges = []
             for table in tables:
                 if table.named:
                     continue
@@ -63,8 +63,8 @@ class StoredPlaces:
                     # The directory has only estimates for an open bucket.
                     inside = (row.t_min, row.t_max) if row.closed else self._ends(table, row)
                     if inside is not None and inside[0] <= high and inside[1] >= low:
-                        found.append(Extent(table.name, row.writer, *inside))
-            return found
+                        ranges.append(Extent(table.name, row.writer, *inside))
+            return ranges
 
         return followed(self._tables(topic), extents)
 
@@ -83,7 +83,7 @@ class StoredPlaces:
                 columns=lambda table: (),
                 wanted=1,
             )
-            times += [each.t for each in islice(self._keyspace.rows.read([table], read), 1)]
+            times += [first.t for first in islice(self._keyspace.rows.read([table], read), 1)]
         return (min(times), max(times)) if times else None
 
     def run_nodes(self, writers: frozenset[int]) -> frozenset[str] | None:

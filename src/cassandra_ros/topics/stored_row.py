@@ -127,7 +127,7 @@ class StoredRow:
             try:
                 self._wire = read_wire(self.table, self._row, self._sent)
             except TopicNotFound:
-                self._wire = self._moved_wire()
+                self._wire = self._wire_of_heir()
             self._sent = None
         return self._wire
 
@@ -141,7 +141,7 @@ class StoredRow:
         """Whether its bytes have been read."""
         return self._wire is not None
 
-    def _moved_wire(self) -> bytes:
+    def _wire_of_heir(self) -> bytes:
         """Read the message from the table that replaced its own; called in an except clause."""
         heir = self.table.heir(True)
         if heir is None:
@@ -227,14 +227,14 @@ def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
         if not (waiting or row.chunked):
             yield row
             continue
-        asked = row.size if row.chunked and budget else 0
-        if asked:
+        nbytes = row.size if row.chunked and budget else 0
+        if nbytes:
             row.ask()
-        waiting.append((row, asked))
-        held += asked
+        waiting.append((row, nbytes))
+        held += nbytes
         while waiting and (held >= budget or len(waiting) > AHEAD_ROWS):
-            first, asked = waiting.popleft()
-            held -= asked
+            first, nbytes = waiting.popleft()
+            held -= nbytes
             yield first
             if first.chunked:
                 budget = min(AHEAD_BYTES, 2 * budget + first.size) if first.was_read else 0
@@ -278,16 +278,16 @@ def with_messages(
                 taken, waiting, held = waiting, [], 0
                 given += len(taken) + large
                 if taken:
-                    yield from _made(cassandra, taken)
+                    yield from _make(cassandra, taken)
             if large:
                 yield row, row.message()
     except CassandraRosError:
-        yield from _made(cassandra, waiting)
+        yield from _make(cassandra, waiting)
         raise
-    yield from _made(cassandra, waiting)
+    yield from _make(cassandra, waiting)
 
 
-def _made(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[tuple[StoredRow, Any]]:
+def _make(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[tuple[StoredRow, Any]]:
     messages: Iterable[Any]
     try:
         messages = _messages(rows)
@@ -308,7 +308,7 @@ def _messages(rows: Sequence[StoredRow]) -> Iterable[Any]:
         return deserialize_all(cls, [row.wire for row in rows])
     made: list[Any] = [None] * len(rows)
     for cls, members in by_class.items():
-        found = deserialize_all(cls, [rows[n].wire for n in members])
-        for n, message in zip(members, found):
+        messages = deserialize_all(cls, [rows[n].wire for n in members])
+        for n, message in zip(members, messages):
             made[n] = message
     return made

@@ -150,10 +150,10 @@ def describe(
     With a run or node only the tables in which it has messages are listed. A time range, which must
     not cut a bucket, does not matter to messages with names.
     """
-    return followed(tables, lambda now: _described(directory, now, whose, losses, time_range))
+    return followed(tables, lambda now: _describe_all(directory, now, whose, losses, time_range))
 
 
-def _described(
+def _describe_all(
     directory: Directory,
     tables: Sequence[TopicTable],
     whose: Whose,

@@ -70,14 +70,14 @@ class TopicTable(RowTable):
         # Without a usable definition there are no indexes and no key field: rows are by receive
         # time.
         able = metadata.own_time or metadata.key_part in metadata.indexes
-        found = definition if able and metadata.key_format == "msg_part" else None
-        self.key_part = None if found is None else KeyPart(found, metadata.key_part)
+        source = definition if able and metadata.key_format == "msg_part" else None
+        self.key_part = None if source is None else KeyPart(source, metadata.key_part)
         """The key field; None = the key is not a field."""
         timed = self.key_part is None or self.key_part.is_time
         self.value_part = None if timed else self.key_part
         """The key field by whose value rows are found; None = there is no such field."""
-        part = self.value_part
-        self.digest = part if part is not None and part.digest else None
+        key_part = self.value_part
+        self.digest = key_part if key_part is not None and key_part.digest else None
         """The key field whose index holds the md5 of a whole array; None = there is no such
         field."""
         self._index_columns = IndexColumns(metadata.topic, definition, self.digest)
@@ -273,11 +273,11 @@ class TopicTables:
         Raises:
             InvalidQuery: No table has the field now.
         """
-        known = self._schema.listing()
+        listing = self._schema.listing()
         try:
             return make()
         except InvalidQuery:
-            if self._schema.listing(fresh=True).visible == known.visible:
+            if self._schema.listing(fresh=True).visible == listing.visible:
                 raise
             return make()
 
@@ -290,9 +290,9 @@ class TopicTables:
         tables = [self.get(name, listing.visible[name]) for name in names]
         # Names of columns depend on the order: a later definition must not change them.
         tables.sort(key=lambda table: (table.metadata.date, table.name))
-        return WholeTopic(tables, listing, partial(self._renewed, topic))
+        return WholeTopic(tables, listing, partial(self._renew, topic))
 
-    def _renewed(self, topic: str, was: WholeTopic, fresh: bool) -> WholeTopic:
+    def _renew(self, topic: str, was: WholeTopic, fresh: bool) -> WholeTopic:
         # Without tables there is no read whose answer comes after the push of a new table.
         listing = self._schema.listing(fresh=fresh or not was)
         if listing is was.listing:
@@ -364,8 +364,8 @@ class IndexColumns:
         Args:
             indexes: Indexed field → shadow column, as the table's comment says.
         """
-        known, fields = self._known
-        if self._definition is not None and known != indexes:
+        old_indexes, fields = self._known
+        if self._definition is not None and old_indexes != indexes:
             fields = {}
             for field, shadow in indexes.items():
                 if self._digest is not None and self._digest.field == field:
@@ -398,6 +398,6 @@ class IndexColumns:
         return Shadows(tuple(values), together)
 
 
-def _digest_of(part: KeyPart, wire: bytes) -> tuple[bytes | None, bool]:
-    value = part.value(wire)
-    return (None, True) if value is None else (part.index(value), False)
+def _digest_of(key_part: KeyPart, wire: bytes) -> tuple[bytes | None, bool]:
+    value = key_part.value(wire)
+    return (None, True) if value is None else (key_part.index(value), False)

@@ -56,10 +56,10 @@ def warn_of_unknown_names(
 
 def warn_of(reasons: Iterable[str]) -> list[str]:
     """Log reasons for which no message is found, but '' for none; return them."""
-    told = list(dict.fromkeys(filter(None, reasons)))
-    for reason in told:
+    texts = list(dict.fromkeys(filter(None, reasons)))
+    for reason in texts:
         _log.warning("no message is found: %s", reason)
-    return told
+    return texts
 
 
 def _unknown_names(

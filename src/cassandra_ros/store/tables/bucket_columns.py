@@ -119,9 +119,7 @@ def count_closed(
         "WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
     )
     total, others = 0, set()
-    requests = (
-        _ask_rows(cassandra, cql, active_range, ACTIVE_PAGE_ROWS) for active_range in wanted
-    )
+    requests = (_ask_rows(cassandra, cql, span, ACTIVE_PAGE_ROWS) for span in wanted)
     for answer in sent_ahead(requests, AT_ONCE):
         rows = answer()
         moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}

@@ -142,25 +142,25 @@ class PieceReader:
 
     def read(self, piece: EnvelopePart, shift: int, coming: ZoneRead) -> PartEnvelope:
         """Read a piece in pixels of 2 ** shift ns; coming: result of ``ask`` for the piece."""
-        part = PartEnvelope(Grid.over(piece.low, piece.high, shift), self._count)
+        envelope = PartEnvelope(Grid.over(piece.low, piece.high, shift), self._count)
         if coming is None:
-            self._add_messages(piece, part.sure)
+            self._add_messages(piece, envelope.sure)
         else:
-            self._add_bounds(piece, part, list(read_bounds(*coming)))
-        return part
+            self._add_bounds(piece, envelope, list(read_bounds(*coming)))
+        return envelope
 
-    def refined(self, piece: EnvelopePart, part: PartEnvelope) -> PartEnvelope:
+    def refined(self, piece: EnvelopePart, earlier: PartEnvelope) -> PartEnvelope:
         """Return the envelope of a piece after some more of its edges were unpacked."""
-        envelope = PartEnvelope(part.sure.grid, self._count)
-        envelope.sure.merge(part.sure)
-        now, envelope.edges = part.edges[:EDGES_AT_ONCE], part.edges[EDGES_AT_ONCE:]
+        envelope = PartEnvelope(earlier.sure.grid, self._count)
+        envelope.sure.merge(earlier.sure)
+        now, envelope.edges = earlier.edges[:EDGES_AT_ONCE], earlier.edges[EDGES_AT_ONCE:]
         values = self._values(piece.table)
         for block in messages_of(open_blocks(self._blocks(piece), now), [piece.table]):
             self._watch()
             values.add_block(block)
         _drain(values, envelope.sure)
         if envelope.edges:
-            envelope.around.merge(part.around)
+            envelope.around.merge(earlier.around)
         return envelope
 
     def _blocks(self, piece: EnvelopePart) -> BucketRead:
@@ -191,25 +191,25 @@ class PieceReader:
         return _ZoneColumns(tuple(names), tuple(converts))
 
     def _add_bounds(
-        self, piece: EnvelopePart, part: PartEnvelope, blocks: Sequence[BlockZones]
+        self, piece: EnvelopePart, envelope: PartEnvelope, blocks: Sequence[BlockZones]
     ) -> None:
         """Add blocks that are in one pixel, and note those that have to be unpacked."""
         zoned = self._zoned[piece.table.name]
         if zoned is None or not blocks:
             return
         ends = [(b.header.t, b.header.last, b.header.left, b.exact) for b in blocks]
-        firsts, lasts, rows, exact = (np.array(each, np.int64) for each in zip(*ends))
-        places = part.sure.grid.places
+        firsts, lasts, rows, exact = (np.array(column, np.int64) for column in zip(*ends))
+        places = envelope.sure.grid.places
         sure = (exact > 0) & (places(firsts) == places(lasts))
         sure &= (firsts >= piece.low) & (lasts <= piece.high)
         low, high = self._numbers(zoned, [block.values for block in blocks])
         # An infinite bound hides the finite one, which only the messages tell.
         sure &= ~(np.isinf(low) | np.isinf(high)).any(axis=0)
         low, high = finite(low), finite(high)
-        part.sure.add_spans(firsts[sure], lasts[sure], low[:, sure], high[:, sure], rows[sure])
+        envelope.sure.add_spans(firsts[sure], lasts[sure], low[:, sure], high[:, sure], rows[sure])
         edge = ~sure
-        part.edges = [blocks[n].header for n in np.flatnonzero(edge).tolist()]
-        part.around.add_wide(firsts[edge], lasts[edge], low[:, edge], high[:, edge])
+        envelope.edges = [blocks[n].header for n in np.flatnonzero(edge).tolist()]
+        envelope.around.add_wide(firsts[edge], lasts[edge], low[:, edge], high[:, edge])
 
     def _numbers(
         self, zoned: _ZoneColumns, values: Sequence[Sequence[bytes | None]]
@@ -230,7 +230,7 @@ class PieceReader:
     def _add_messages(self, piece: EnvelopePart, envelope: Envelope) -> None:
         """Read the messages of a piece, and make arrays of a limited number at a time."""
         values, count = self._values(piece.table), 0
-        for taken in self._taken(piece, values):
+        for taken in self._take_messages(piece, values):
             self._watch()
             count += taken
             if count >= MOST_MESSAGES:
@@ -238,7 +238,7 @@ class PieceReader:
                 count = 0
         _drain(values, envelope)
 
-    def _taken(self, piece: EnvelopePart, values: TableValues) -> Iterator[int]:
+    def _take_messages(self, piece: EnvelopePart, values: TableValues) -> Iterator[int]:
         """Pass messages to the makers of arrays; yield how many, each time."""
         whose = Whose((piece.node,), self._wanted.bounds.read.whose.writers)
         read = Read(TimeRange(piece.low, piece.high), whose)

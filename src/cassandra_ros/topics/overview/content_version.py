@@ -68,4 +68,5 @@ def _bucket_facts(directory: Directory, table: TopicTable, read: Read) -> Iterat
             moving.add((row.node, row.bucket))
     for node, bucket in sorted(moving):
         counted = recount(table, node, bucket)
-        yield repr((node, bucket, sorted((each, vars(counts)) for each, counts in counted.items())))
+        by_writer = sorted((writer, vars(counts)) for writer, counts in counted.items())
+        yield repr((node, bucket, by_writer))

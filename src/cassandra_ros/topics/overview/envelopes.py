@@ -54,19 +54,19 @@ class EnvelopeCache:
     def get(self, key: object) -> PartEnvelope | None:
         """Return a part, which must not be changed; None if it is not in the cache."""
         with self._lock:
-            part = self._parts.get(key)
-            if part is None:
+            entry = self._parts.get(key)
+            if entry is None:
                 return None
             self._parts.move_to_end(key)
-            return part[0]
+            return entry[0]
 
-    def put(self, key: object, part: PartEnvelope) -> None:
+    def put(self, key: object, envelope: PartEnvelope) -> None:
         """Add a part."""
         with self._lock:
             earlier = self._parts.pop(key, None)
             self._bytes -= earlier[1] if earlier else 0
-            self._parts[key] = part, part.nbytes
-            self._bytes += part.nbytes
+            self._parts[key] = envelope, envelope.nbytes
+            self._bytes += envelope.nbytes
             while self._bytes > self._most:
                 self._bytes -= self._parts.popitem(last=False)[1][1]
 
@@ -128,26 +128,26 @@ class EnvelopeReader:
                 everything.
         """
         ends = None if seconds is None else time.monotonic() + seconds
-        listed = list(self._listed(grid))
+        listed = list(self._list(grid))
         listed = [listed[n] for n in spread(len(listed))]
-        parts = {n: part for n, each in enumerate(listed) if (part := self._known(each, grid))}
-        left = [n for n in range(len(listed)) if n not in parts]
-        cached = [n for n in left if self._keeps(listed[n])]
+        envelopes = {n: e for n, entry in enumerate(listed) if (e := self._get_cached(entry, grid))}
+        rest = [n for n in range(len(listed)) if n not in envelopes]
+        cached = [n for n in rest if self._keeps(listed[n])]
         fresh = False
-        for n, part in self._new(listed, cached, grid):
-            parts[n], fresh = part, True
+        for n, envelope in self._new(listed, cached, grid):
+            envelopes[n], fresh = envelope, True
             if _is_over(ends):
                 break
-        for n in list(parts):
-            while parts[n].edges and not (fresh and _is_over(ends)):
-                parts[n], fresh = self._refined(listed[n], grid, parts[n]), True
-        done = len(parts) == len(listed) - len(left) + len(cached)
-        if done and not (fresh and _is_over(ends) and any(p.edges for p in parts.values())):
+        for n in list(envelopes):
+            while envelopes[n].edges and not (fresh and _is_over(ends)):
+                envelopes[n], fresh = self._refine(listed[n], grid, envelopes[n]), True
+        done = len(envelopes) == len(listed) - len(rest) + len(cached)
+        if done and not (fresh and _is_over(ends) and any(p.edges for p in envelopes.values())):
             # These pieces are not cached: a read that began with them would never get further.
-            parts.update(self._at_once(listed, [n for n in left if n not in parts], grid))
-        return self._joined(grid, listed, parts)
+            envelopes.update(self._at_once(listed, [n for n in rest if n not in envelopes], grid))
+        return self._join(grid, listed, envelopes)
 
-    def _listed(self, grid: Grid) -> Iterator[_Listed]:
+    def _list(self, grid: Grid) -> Iterator[_Listed]:
         bounds = self._bounds
         low, high = bounds.read.time_range
         low, high = max(grid.low, low), min(grid.high, high)
@@ -198,60 +198,60 @@ class EnvelopeReader:
         """Return whether the envelope of a piece is cached for the next time."""
         return self._cache is not None and listed.state is not None
 
-    def _known(self, listed: _Listed, grid: Grid) -> PartEnvelope | None:
+    def _get_cached(self, listed: _Listed, grid: Grid) -> PartEnvelope | None:
         if self._cache is None or not self._keeps(listed):
             return None
         return self._cache.get(self._key(listed, grid))
 
-    def _keep(self, listed: _Listed, grid: Grid, part: PartEnvelope) -> None:
+    def _keep(self, listed: _Listed, grid: Grid, envelope: PartEnvelope) -> None:
         if self._cache is not None and self._keeps(listed):
-            self._cache.put(self._key(listed, grid), part)
+            self._cache.put(self._key(listed, grid), envelope)
 
     def _new(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
     ) -> Iterator[tuple[int, PartEnvelope]]:
         """Read pieces that are not in the cache; the zones of some are requested ahead."""
         coming: deque[tuple[int, ZoneRead]] = deque()
-        left = iter(places)
+        rest = iter(places)
         while True:
-            for n in left:
+            for n in rest:
                 coming.append((n, self._pieces.ask(listed[n].piece)))
                 if len(coming) >= AHEAD:
                     break
             if not coming:
                 return
-            n, asked = coming.popleft()
+            n, zones = coming.popleft()
             self._watch()
-            part = self._pieces.read(listed[n].piece, grid.shift, asked)
-            self._keep(listed[n], grid, part)
-            yield n, part
+            envelope = self._pieces.read(listed[n].piece, grid.shift, zones)
+            self._keep(listed[n], grid, envelope)
+            yield n, envelope
 
-    def _refined(self, listed: _Listed, grid: Grid, part: PartEnvelope) -> PartEnvelope:
-        found = self._pieces.refined(listed.piece, part)
-        self._keep(listed, grid, found)
-        return found
+    def _refine(self, listed: _Listed, grid: Grid, earlier: PartEnvelope) -> PartEnvelope:
+        envelope = self._pieces.refined(listed.piece, earlier)
+        self._keep(listed, grid, envelope)
+        return envelope
 
     def _at_once(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
     ) -> Iterator[tuple[int, PartEnvelope]]:
         """Read pieces in full, without a time limit."""
-        for n, part in self._new(listed, places, grid):
-            while part.edges:
-                part = self._refined(listed[n], grid, part)
-            yield n, part
+        for n, envelope in self._new(listed, places, grid):
+            while envelope.edges:
+                envelope = self._refine(listed[n], grid, envelope)
+            yield n, envelope
 
-    def _joined(
-        self, grid: Grid, listed: Sequence[_Listed], parts: dict[int, PartEnvelope]
+    def _join(
+        self, grid: Grid, listed: Sequence[_Listed], envelopes: dict[int, PartEnvelope]
     ) -> Envelopes:
         envelope, read, edges = Envelope(grid, self._columns), 0.0, 0
-        for n, part in parts.items():
-            envelope.merge(part.sure)
-            if part.edges:
-                envelope.merge(part.around)
-                edges += len(part.edges)
+        for n, part_envelope in envelopes.items():
+            envelope.merge(part_envelope.sure)
+            if part_envelope.edges:
+                envelope.merge(part_envelope.around)
+                edges += len(part_envelope.edges)
             read += listed[n].rows + 1
-        count = sum(each.rows + 1 for each in listed)
-        share = 1.0 if len(parts) == len(listed) else min(read / count, 0.999)
+        count = sum(entry.rows + 1 for entry in listed)
+        share = 1.0 if len(envelopes) == len(listed) else min(read / count, 0.999)
         return Envelopes(envelope, share, edges)
 
 

@@ -155,7 +155,7 @@ class LatchedFinder:
         self._tests = tests or {}
 
     @cached_property
-    def _latched(self) -> dict[str, frozenset[int]]:
+    def _latched_connections(self) -> dict[str, frozenset[int]]:
         """Table → numbers of its latched connections."""
         connections: dict[str, set[int]] = {}
         names = {table.name for table in self._tables}
@@ -166,7 +166,7 @@ class LatchedFinder:
 
     def of(self, whose: Whose) -> LatchedFinder:
         """Return a finder for other robots and writers of the same tables."""
-        _ = self._latched  # both have it then
+        _ = self._latched_connections  # both have it then
         other = copy(self)
         other._whose = whose
         return other
@@ -174,12 +174,12 @@ class LatchedFinder:
     @property
     def latches(self) -> bool:
         """Whether the tables have a latched connection."""
-        return bool(self._latched)
+        return bool(self._latched_connections)
 
     def is_latched(self, row: LatchedRow) -> bool:
         """Return whether a message came over a latched connection."""
         if row.table.name in {table.name for table in self._tables}:
-            return row.conn in self._latched.get(row.table.name, ())
+            return row.conn in self._latched_connections.get(row.table.name, ())
         return is_latched(row.connection)  # the row's table has replaced one of them
 
     def before(self, t: int, to: int = LAST_NS) -> list[StoredRow]:
@@ -188,7 +188,7 @@ class LatchedFinder:
 
     def of_sources(self, sources: frozenset[Source], t: int, since: int = 0) -> list[StoredRow]:
         """Return the last latched message in [since, t) of each publisher of some runs."""
-        tables = [table for table in self._tables if table.name in self._latched]
+        tables = [table for table in self._tables if table.name in self._latched_connections]
         rows = [row for table in tables for row in self._last(table, t, since, sources)]
         return sorted(rows, key=lambda row: row.arrival)
 
@@ -204,20 +204,20 @@ class LatchedFinder:
             listed = directory.buckets(name, metadata, *ends, self._whose.nodes)
             writers = self._whose.writers
             rows = [row for row in listed if writers is None or row.writer in writers]
-            for row in self._counted(name, metadata, rows):
+            for row in self._count_open(name, metadata, rows):
                 if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t):
                     runs.add((row.node, row.writer))
         return frozenset(runs)
 
-    def _counted(
+    def _count_open(
         self, name: str, metadata: TopicMetadata, rows: Sequence[BucketRow]
     ) -> list[BucketRow]:
         """Count the open buckets that a killed recorder left; living ones stay open."""
-        left = [row for row in rows if not row.closed and row.age_sec > STALE_SEC]
-        if not left:
+        stale_rows = [row for row in rows if not row.closed and row.age_sec > STALE_SEC]
+        if not stale_rows:
             return list(rows)
         table = self._keyspace.tables.get(name, metadata)
-        counted = settle(self._keyspace.directory, table, left)
+        counted = settle(self._keyspace.directory, table, stale_rows)
         others = [row for row in rows if row.closed or row.age_sec <= STALE_SEC]
         return [*others, *(row._replace(closed=True) for row in counted)]
 
@@ -233,7 +233,7 @@ class LatchedFinder:
     ) -> Iterator[StoredRow]:
         """Yield rows from newest to oldest until each latched connection of each run has one."""
         # Only buckets that a run of the range has written to.
-        length, conns = table.metadata.bucket_ns, self._latched[table.name]
+        length, conns = table.metadata.bucket_ns, self._latched_connections[table.name]
         robots = tuple({node for node, _ in sources})
         buckets = self._keyspace.directory.buckets(
             table.name, table.metadata, since // length, (t - 1) // length, robots
@@ -247,7 +247,7 @@ class LatchedFinder:
         back = Read(time_range, whose, reverse=True, wanted=len(missing))
         for row in self._rows(table, back):
             publisher = publisher_of(row)
-            if publisher in missing and self._wanted(row):
+            if publisher in missing and self._passes(row):
                 missing.discard(publisher)
                 yield row
                 if not missing:
@@ -258,7 +258,7 @@ class LatchedFinder:
     ) -> Iterator[StoredRow]:
         """Search all rows of a topic whose key is not the receive time."""
         last: dict[Publisher, StoredRow] = {}
-        conns = self._latched[table.name]
+        conns = self._latched_connections[table.name]
         for row in self._rows(table, Read(whose=self._whose)):
             source, conn = publisher = publisher_of(row)
             # Equal messages of key format hash are one row, which has no writer.
@@ -267,7 +267,7 @@ class LatchedFinder:
             if source[1] and source not in sources:
                 continue
             earlier = last.get(publisher)
-            if (earlier is None or earlier.arrival < row.arrival) and self._wanted(row):
+            if (earlier is None or earlier.arrival < row.arrival) and self._passes(row):
                 last[publisher] = row
         return iter(last.values())
 
@@ -276,7 +276,7 @@ class LatchedFinder:
         columns = None if table.metadata.topic in self._tests else lambda table: ()
         return self._keyspace.rows.read([table], replace(read, columns=columns))
 
-    def _wanted(self, row: StoredRow) -> bool:
+    def _passes(self, row: StoredRow) -> bool:
         test = self._tests.get(row.topic)
         return test is None or test(row)
 

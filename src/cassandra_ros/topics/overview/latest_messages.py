@@ -70,11 +70,11 @@ class Latest:
             timed = [table for table in tables if not table.named]
             manual = [table for table in tables if table.metadata.key_format == "manual"]
             if timed:
-                yield from self._last_timed(timed, t, since)
+                yield from self._last_by_time(timed, t, since)
             if manual:
                 yield from self._newest_of_names(manual, t)
 
-    def _last_timed(self, tables: Sequence[TopicTable], t: int, since: int) -> list[StoredRow]:
+    def _last_by_time(self, tables: Sequence[TopicTable], t: int, since: int) -> list[StoredRow]:
         rows = self._keyspace.rows
         if any(table.msg_type in TRANSFORMS for table in tables):
             steady = TimeRange(max(since, t - TRANSFORMS_NS), t)

@@ -120,9 +120,9 @@ def _reason(kind: ArrayType) -> str:
     return "text" if kind.kind == "string" else ""
 
 
-def as_floats(found: ColumnArray, kind: ArrayType) -> AnyArray:
+def as_floats(column: ColumnArray, kind: ArrayType) -> AnyArray:
     """Return the values of a column as float64; NaN for missing values and for other types."""
-    values, missing = found
+    values, missing = column
     if values.dtype.kind == "O":
         floats = np.fromiter(map(as_float, values.tolist()), np.float64, len(values))
     else:

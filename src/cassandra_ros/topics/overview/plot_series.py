@@ -161,7 +161,7 @@ def _key(select: Select, bounds: Bounds, drawn: PlotColumns, near: bool) -> str:
     if not near:
         # The parts that are read know their times: a range that moves with now() shares them.
         parts = () if bounds.whole else conjuncts(select.condition)
-        condition = [part for part in parts if not bounds_time(part)]
+        condition = [conjunct for conjunct in parts if not bounds_time(conjunct)]
         bounds = replace(bounds, read=replace(bounds.read, time_range=ALWAYS))
     key = repr(([column.what for column in drawn.columns], condition, bounds))
     # Poses may be stored later than the messages recorded there.
@@ -227,8 +227,8 @@ def _of_rows(
     name = kinds[over][0]
     drawn = drawn._replace(left_out=tuple(u for u in drawn.left_out if u.name != name))
     places = [[name for name, _ in kinds].index(column.name) for column in drawn.columns]
-    asked = QueryResult(select, topic, asker.whose, watch=asker.watch)
-    with asked as result:
+    query = QueryResult(select, topic, asker.whose, watch=asker.watch)
+    with query as result:
         times, numbers = _arrays(select, result, over, places)
     low = times.min(initial=2**63 - 1) if window.low is None else window.low
     high = times.max(initial=-1) if window.high is None else window.high

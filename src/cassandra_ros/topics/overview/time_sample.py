@@ -45,7 +45,7 @@ class MessageChoice:
         reads = catalog.reads_of(names, self.start, self.end, whose, self.event)
         if self.where is not None:
             return catalog.read_parts(names, reads, {topic.name: self.where})
-        keys = (topic.read(replace(part, columns=lambda table: ())) for part in reads.parts)
+        keys = (topic.read(replace(read, columns=lambda table: ())) for read in reads.parts)
         return chain.from_iterable(keys)
 
     def last(self, topic: CassandraTopic) -> int:
@@ -108,7 +108,7 @@ def spaced_rows(
         return
     times = _times(few[0][0], chosen.last(topic), count, every_ns)
     if chosen.where is None and not isinstance(few[0][1], RowName):
-        yield from _once(_looked_up(topic, chosen, times))
+        yield from _once(_look_up(topic, chosen, times))
     else:
         yield from _once(nearest_rows(chosen.rows(catalog, topic), times))
 
@@ -139,7 +139,7 @@ def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:
     return [first + (last - first) * n // gaps for n in range(count)]
 
 
-def _looked_up(
+def _look_up(
     topic: CassandraTopic, chosen: MessageChoice, times: Sequence[int]
 ) -> Iterator[StoredRow]:
     for t in times:

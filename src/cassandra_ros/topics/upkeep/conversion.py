@@ -240,8 +240,8 @@ def block_span(space: Keyspace, tables: Sequence[TopicTable], connections: int) 
         return span_ns
     rows = [r for table in tables for r in buckets_of(space.directory, table) if r.rows]
     # As if each writer had the same number of connections: only the magnitude matters.
-    each = max(1.0, connections / max(1, len({row.writer for row in rows})))
-    seconds = [max(1.0, (row.t_max - row.t_min) / SECOND_NS) * each for row in rows]
+    per_writer = max(1.0, connections / max(1, len({row.writer for row in rows})))
+    seconds = [max(1.0, (row.t_max - row.t_min) / SECOND_NS) * per_writer for row in rows]
     rate_hz = max((row.rows / lasted for row, lasted in zip(rows, seconds)), default=0.0)
     rate = max((row.bytes / lasted for row, lasted in zip(rows, seconds)), default=0.0)
     return span_for(rate_hz, rate)
@@ -260,18 +260,19 @@ class Conversion:
 
     def run(self) -> int:
         """Convert the tables; return the number of messages."""
-        for left in reversed(range(MAX_TRIES)):
+        tries = 1
+        while True:
             try:
                 return self._once()
             except _Changed:
                 _log.info("topic %s was changed while it was converted; anew", self._topic)
-                if not left:
+                if tries == MAX_TRIES:
                     raise SchemaConflict(
                         f"topic {self._topic} was changed by other clients whenever it was "
                         "converted; nothing was converted, and nothing lost: end what adds or "
                         "deletes messages, and convert it again"
                     ) from None
-        raise AssertionError("the loop above returns or raises")
+                tries += 1
 
     def _once(self) -> int:
         new = self._begin()

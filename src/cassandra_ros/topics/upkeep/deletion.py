@@ -47,8 +47,8 @@ def delete_messages(
             counts[name] = sum(1 for _ in rows) if dry_run else delete_rows(space, rows)
         return counts
     for table in catalog.tables(topics):
-        part = delete_of_table(space, table, read, dry_run)
-        counts[table.metadata.topic] = counts.get(table.metadata.topic, 0) + part
+        count = delete_of_table(space, table, read, dry_run)
+        counts[table.metadata.topic] = counts.get(table.metadata.topic, 0) + count
     if not dry_run:
         _forget(space, ending)
     return counts

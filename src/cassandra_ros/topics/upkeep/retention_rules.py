@@ -111,20 +111,20 @@ def retain(
     """Drop the messages that the rules do not keep; see Upkeep.retain."""
     rules.check()
     catalog.adder.close()  # buckets that it has open count as being written
-    tables = _timed(catalog, topics)
+    tables = _tables_by_time(catalog, topics)
     work = _Retention(catalog, tables, rules, dry_run)
     by_topic: dict[str, Retained] = {}
     counts = [count_rows(catalog.keyspace.directory, [t], Read()) for t in tables]
     for number, table in enumerate(tables):
-        each = by_topic.setdefault(table.metadata.topic, Retained(table.metadata.topic))
-        each.messages += counts[number]
-        work.table(table, each)
+        report = by_topic.setdefault(table.metadata.topic, Retained(table.metadata.topic))
+        report.messages += counts[number]
+        work.table(table, report)
         if progress is not None:
             progress(sum(counts[: number + 1]), sum(counts))
     return [by_topic[topic] for topic in sorted(by_topic)]
 
 
-def _timed(catalog: Catalog, topics: Iterable[str] | None) -> list[TopicTable]:
+def _tables_by_time(catalog: Catalog, topics: Iterable[str] | None) -> list[TopicTable]:
     """Return the tables with a time key; messages with names have no age."""
     tables = catalog.tables(topics)
     named = sorted({table.metadata.topic for table in tables if table.named})
@@ -157,18 +157,18 @@ class _Retention:
         self._thin_end = max(0, rules.now - rules.thin_after) if rules.period else 0
         self._pins = self._make_pins()
 
-    def table(self, table: TopicTable, found: Retained) -> None:
+    def table(self, table: TopicTable, report: Retained) -> None:
         """Drop and thin the messages of one table."""
         pins = self._pins.of(table)
         for gap in _gaps(pins, 0, self.cutoff - 1):
-            found.dropped += delete_of_table(self._space, table, Read(gap), self._dry_run)
+            report.dropped += delete_of_table(self._space, table, Read(gap), self._dry_run)
         if self._thin_end > self.cutoff:
             # Before reading: messages that are added meanwhile are not deleted.
             until_us = self._space.cassandra.server_time_us()
             last: _Periods = {}
             for gap in _gaps(pins, self.cutoff, self._thin_end - 1):
-                rows = self._rated(table, gap, last)
-                found.thinned += (
+                rows = self._rate(table, gap, last)
+                report.thinned += (
                     sum(surplus for _, surplus in rows)
                     if self._dry_run
                     else thin_rows(self._space, rows, until_us)
@@ -183,13 +183,13 @@ class _Retention:
             for row in settle(directory, table, buckets_of(directory, table))
             if row.rows
         ]
-        rows_of_tables.sort(key=lambda each: -each[1].t_max)
-        left, whole = most, LAST_NS
+        rows_of_tables.sort(key=lambda pair: -pair[1].t_max)
+        room, whole = most, LAST_NS
         for _, row in rows_of_tables:
-            if row.bytes > left:
+            if row.bytes > room:
                 whole = row.t_max + 1  # all later messages fit, also those of earlier buckets
                 break
-            left -= row.bytes
+            room -= row.bytes
         else:
             return 0
         newer = [(table, row) for table, row in rows_of_tables if row.t_max >= whole]
@@ -197,15 +197,15 @@ class _Retention:
         for table, row in newer:
             if row.t_min < whole:
                 whose = Whose((row.node,), frozenset([row.writer]))
-                part = self._bare([table], Read(TimeRange(whole, row.t_max), whose))
-                taken += sum(each.size for each in part)
+                rows = self._bare([table], Read(TimeRange(whole, row.t_max), whose))
+                taken += sum(row.size for row in rows)
         return self._further(tables, whole, most - taken)
 
-    def _further(self, tables: Sequence[TopicTable], begin: int, left: int) -> int:
-        """Go back from a time message by message, while they fit into ``left`` bytes."""
+    def _further(self, tables: Sequence[TopicTable], begin: int, room: int) -> int:
+        """Go back from a time message by message, while they fit into ``room`` bytes."""
         for row in self._bare(tables, Read(TimeRange(0, begin - 1), reverse=True)):
-            left -= row.size
-            if left < 0:
+            room -= row.size
+            if room < 0:
                 return row.t + 1
         return 0
 
@@ -219,10 +219,10 @@ class _Retention:
         if rules.keep:
             reach = Read(TimeRange(0, min(LAST_NS, end + rules.before)))
             filters = self._catalog.filters(rules.keep, None)
-            hits = heapq.merge(*(_times(each.rows(reach, bare=True)) for each in filters.values()))
+            hits = heapq.merge(*(_times(f.rows(reach, bare=True)) for f in filters.values()))
             pins.windows = list(merge_windows(hits, rules.before, rules.after, TimeRange()))
         for name in rules.events:
-            pins.windows = list(_united([*pins.windows, *self._around_events(name, end)]))
+            pins.windows = list(_unite([*pins.windows, *self._around_events(name, end)]))
         if self.cutoff and self._finder.latches:
             for low, high in [*pins.windows, TimeRange(self.cutoff, LAST_NS)]:
                 for row in self._finder.before(low, high):
@@ -239,7 +239,7 @@ class _Retention:
             _log.warning("nothing is kept for an event: %s", exc)
             return ()
 
-    def _rated(
+    def _rate(
         self, table: TopicTable, gap: TimeRange, last: _Periods
     ) -> Iterator[tuple[StoredRow, bool]]:
         """Yield all messages and whether they are surplus: not a publisher's first of a period.
@@ -259,8 +259,8 @@ def _times(rows: Iterable[StoredRow]) -> Iterator[int]:
     return (row.t for row in rows)
 
 
-def _united(ranges: Iterable[TimeRange]) -> Iterator[TimeRange]:
-    return (TimeRange(*each) for each in merge_ranges(sorted(ranges)))
+def _unite(ranges: Iterable[TimeRange]) -> Iterator[TimeRange]:
+    return (TimeRange(*span) for span in merge_ranges(sorted(ranges)))
 
 
 def _gaps(pins: Iterable[TimeRange], low: int, high: int) -> Iterator[TimeRange]:

@@ -52,11 +52,11 @@ def index_places(
     stored = catalog.stored_places
     ttls = [t.metadata.ttl for topic in _tell_poses(stored) for t in topic.tables]
     ttl = 0 if 0 in ttls else max(ttls, default=0)
-    for each, state in _states(catalog, node, run):
+    for stored_run, state in _states(catalog, node, run):
         if state.state != "not indexed":
             states.append(state)
             continue
-        whose = RobotRun(each.node, each.writer)
+        whose = RobotRun(stored_run.node, stored_run.writer)
         made = RunIndex(stored, catalog.keyspace.place_index, whose, ttl).make(progress)
         if made is not None:
             state = state._replace(state="indexed", first_ns=made.poses_from)
@@ -74,12 +74,12 @@ def _states(catalog: Catalog, node: str | None, run: RunName) -> list[tuple[Run,
     check_nodes(node)
     writers = catalog.keyspace.runs.writers(run)
     runs = [
-        each
-        for each in list_runs(catalog.keyspace, catalog.tables(None))
-        if node in (None, each.node) and (writers is None or each.writer in writers)
+        stored_run
+        for stored_run in list_runs(catalog.keyspace, catalog.tables(None))
+        if node in (None, stored_run.node) and (writers is None or stored_run.writer in writers)
     ]
     look = _IndexComparison(catalog)
-    return [(each, look.at(each)) for each in runs]
+    return [(stored_run, look.at(stored_run)) for stored_run in runs]
 
 
 def _tell_poses(stored: StoredPlaces) -> list[CassandraTopic]:
@@ -94,8 +94,8 @@ class _IndexComparison:
         self._topics = _tell_poses(self._stored)
         names = [table.name for topic in self._topics for table in topic.tables]
         self._noted: dict[tuple[str, int], list[IndexedPoses]] = {}
-        for each in catalog.keyspace.place_index.placed(names):
-            self._noted.setdefault((each.node, each.writer), []).append(each)
+        for record in catalog.keyspace.place_index.placed(names):
+            self._noted.setdefault((record.node, record.writer), []).append(record)
 
     def at(self, run: Run) -> PlacesOfRun:
         places = PlacesOfRun(run.name or str(run.writer), run.node, run.writer, "no poses")
@@ -110,7 +110,7 @@ class _IndexComparison:
             return places
         if run.state == "recording" or (run.kind == "import" and run.state != "ended"):
             return places._replace(state="goes on")
-        tables = {each.table for each in noted}
+        tables = {record.table for record in noted}
         covered = all(
             extent.table in tables
             and any(

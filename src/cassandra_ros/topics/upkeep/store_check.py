@@ -135,7 +135,7 @@ def check_store(
     """Read topics back, None = the whole keyspace; see Upkeep.check."""
     work = _Check(catalog, time_range, repair, progress)
     names = [topic.name for topic in catalog.all(None)] if topics is None else topics
-    for name in dict.fromkeys(catalog.get(each).name for each in names):
+    for name in dict.fromkeys(catalog.get(topic).name for topic in names):
         work.topic(name)
     work.definitions({table.metadata.md5sum for table in work.tables}, everything=topics is None)
     if topics is None and time_range == TimeRange():
@@ -211,10 +211,10 @@ class _Check:
         names = table.listing()
         if table.packed:
             names = ", ".join([WHOLE, '"_nan"', *map(quote_name, table.zone_columns)])
-        asked = table.select_range(
+        request = table.select_range(
             names, table.place(node, bucket), page_rows=min(page, MAX_PAGE_ROWS), what="checking"
         )
-        for values in asked.rows():
+        for values in request.rows():
             if table.is_rest(values):
                 continue
             t = decode_long(values[0])
@@ -266,7 +266,7 @@ class _Check:
         if row.odd or (said == expected and not odd):
             return  # conditions do not skip an odd block
         names = ("_nan", *table.zone_columns)
-        wrong = [name for name, *each in zip(names, said, expected) if each[0] != each[1]]
+        wrong = [name for name, *pair in zip(names, said, expected) if pair[0] != pair[1]]
         self._note(
             DamageKind.BOUNDS,
             table,
@@ -358,8 +358,8 @@ class _Check:
         directory, mended = self._space.directory, False
         if self._repair:
             directory.list_by_time(table.name, [row], table.metadata.ttl, since_us)
-            found = directory.find_active(table.name, row.node, row.bucket)
-            mended = not _differs(row, next((r for r in found if r.writer == row.writer), None))
+            entries = directory.find_active(table.name, row.node, row.bucket)
+            mended = not _differs(row, next((r for r in entries if r.writer == row.writer), None))
         said = "has other counts" if listed else "is missing"
         self._note(
             DamageKind.COUNT if listed else DamageKind.UNLISTED,
@@ -416,8 +416,8 @@ class _Check:
             row.node,
             (row.bucket * length, (row.bucket + 1) * length - 1),
             abs(row.rows - totals.rows),
-            f"the directory says {_said(row.rows, row.bytes, row.t_min, row.t_max)} of writer "
-            f"{row.writer}, and there are {_said(totals.rows, totals.bytes, *_ends(totals))}; "
+            f"the directory says {_show(row.rows, row.bytes, row.t_min, row.t_max)} of writer "
+            f"{row.writer}, and there are {_show(totals.rows, totals.bytes, *_ends(totals))}; "
             "--repair puts the directory right. Were there more, import or record them again",
             mended=mended,
         )
@@ -563,5 +563,5 @@ def _ends(totals: BucketTotals) -> tuple[int, int]:
     return (totals.t_min, totals.t_max) if totals.rows else (0, 0)
 
 
-def _said(rows: int, size: int, first: int, last: int) -> str:
+def _show(rows: int, size: int, first: int, last: int) -> str:
     return f"{rows} messages, {size} bytes" + (f" from {first} to {last}" if rows else "")

@@ -92,12 +92,12 @@ class TableCopy:
         whose, ttl = Whose(None, writers), self._new.metadata.ttl
         parts: dict[int, list[Callable[[], Iterator[StoredRow]]]] = {}
         for table in self._olds:
-            for left, rows in self._expiring(table, whose):
-                if left:
-                    parts.setdefault(rounded(left, ttl), []).append(rows)
-        for left in sorted(parts):
-            set_lifetime(self._space.schema, self._new.name, left)
-            self._write(row for part in parts[left] for row in part())
+            for lifetime, rows in self._expiring(table, whose):
+                if lifetime:
+                    parts.setdefault(rounded(lifetime, ttl), []).append(rows)
+        for lifetime in sorted(parts):
+            set_lifetime(self._space.schema, self._new.name, lifetime)
+            self._write(row for rows in parts[lifetime] for row in rows())
 
     def _expiring(
         self, table: TopicTable, whose: Whose
@@ -105,20 +105,20 @@ class TableCopy:
         """Yield parts of a table with the maximum remaining lifetime of their rows, s."""
         if table.named:
             by_left: dict[int, list[RowKey]] = {}
-            for place, left in left_by_name(table).items():
+            for place, lifetime in left_by_name(table).items():
                 if whose.wrote(place.seq):
-                    left = rounded(left, table.metadata.ttl)
-                    by_left.setdefault(left, []).append(RowKey(table, place))
-            for left, row_keys in by_left.items():
-                yield left, _fetching(table, row_keys)
+                    lifetime = rounded(lifetime, table.metadata.ttl)
+                    by_left.setdefault(lifetime, []).append(RowKey(table, place))
+            for lifetime, row_keys in by_left.items():
+                yield lifetime, _fetching(table, row_keys)
             return
         length, places = table.metadata.bucket_ns, set()
         for row in buckets_of(self._space.directory, table, whose):
             places.add((row.node, row.bucket))
         for node, bucket in sorted(places):
             time_range = TimeRange(bucket * length, (bucket + 1) * length - 1)
-            part = self._part(table, Read(time_range, Whose((node,), whose.writers)))
-            yield left_in_bucket(table, node, bucket), part
+            rows = self._part(table, Read(time_range, Whose((node,), whose.writers)))
+            yield left_in_bucket(table, node, bucket), rows
 
     def _part(self, table: TopicTable, read: Read) -> Callable[[], Iterator[StoredRow]]:
         return lambda: self._reader.read([table], read)
@@ -254,8 +254,8 @@ class TableCopy:
                 writers.setdefault((entry.node, entry.bucket), set()).add(entry.writer)
             length = table.bucket_ns
             for (node, bucket), some in sorted(writers.items()):
-                found = row_keys(table, node, bucket, frozenset(some))
-                keys = {key for key, us in found.items() if us > since_us}
+                times = row_keys(table, node, bucket, frozenset(some))
+                keys = {key for key, us in times.items() if us > since_us}
                 low = bucket * length
                 read = Read(TimeRange(low, low + length - 1), Whose((node,), frozenset(some)))
                 if keys:
@@ -268,8 +268,8 @@ class TableCopy:
 
     def _missing(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Return the rows of old tables in a bucket that are not in the new one."""
-        known = {row.place for row in self._rows([self._new], read)}
-        return (row for row in self._rows(tables, read) if row.place not in known)
+        places = {row.place for row in self._rows([self._new], read)}
+        return (row for row in self._rows(tables, read) if row.place not in places)
 
     def _add(self, late: Iterator[StoredRow]) -> int:
         """Write late rows into the new table, with the headers of their connections."""

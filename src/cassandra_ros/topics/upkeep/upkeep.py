@@ -63,8 +63,8 @@ class Upkeep:
         whose = self._catalog.whose(nodeID, run)
         reads = self._catalog.reads_of(names, key, to_key, whose, event)
         counts: Counter[str] = Counter()
-        for part in reads.parts:
-            counts.update(delete_messages(self._catalog, names, part, where, dry_run))
+        for read in reads.parts:
+            counts.update(delete_messages(self._catalog, names, read, where, dry_run))
         return dict(counts)
 
     def isWritten(self, topic: str) -> bool:

@@ -80,12 +80,12 @@ def refined(
 
 def _coarse(piece: RangeCounts, scale: Scale) -> Bools:
     """Return which time ranges are worth reading in detail."""
-    each = piece.time_ranges
-    near = (each.first <= scale.end) & (each.last >= scale.start)
-    spans = scale.cells_of(each.last) - scale.cells_of(each.first)
-    wide = (spans >= WIDE_CELLS - 1) & (each.messages > 2)
-    cut = (each.first < scale.start) | (each.last > scale.end)
-    return np.asarray(near & (wide | cut | ~each.sure))
+    ranges = piece.time_ranges
+    near = (ranges.first <= scale.end) & (ranges.last >= scale.start)
+    spans = scale.cells_of(ranges.last) - scale.cells_of(ranges.first)
+    wide = (spans >= WIDE_CELLS - 1) & (ranges.messages > 2)
+    cut = (ranges.first < scale.start) | (ranges.last > scale.end)
+    return np.asarray(near & (wide | cut | ~ranges.sure))
 
 
 def _better(
@@ -93,8 +93,8 @@ def _better(
 ) -> RangeCounts | None:
     """Return a piece with its buckets read in detail; None if that would be too much to read."""
     buckets = np.unique(piece.buckets[coarse])
-    left = ~np.isin(piece.buckets, buckets)
-    rest = piece._replace(time_ranges=piece.time_ranges.where(left), buckets=piece.buckets[left])
+    keep = ~np.isin(piece.buckets, buckets)
+    rest = piece._replace(time_ranges=piece.time_ranges.where(keep), buckets=piece.buckets[keep])
     if cost <= budget.keys:
         keys = _keys(piece, buckets, scale, whose, budget)
         return None if keys is None else rest._replace(keys=MessageKeys.joined([piece.keys, keys]))

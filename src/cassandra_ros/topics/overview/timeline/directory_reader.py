@@ -90,12 +90,12 @@ class DirectoryReader:
         with self._mutex:
             cached = {name: slots for name, (until, slots) in self._slots.items() if until > now}
         missing = [table.name for table in tables if not table.named and table.name not in cached]
-        asked = (self._directory.begin_nodes(name, _EVER) for name in missing)
-        for name, answer in zip(missing, sent_ahead(asked, AT_ONCE)):
+        requests = (self._directory.begin_nodes(name, _EVER) for name in missing)
+        for name, answer in zip(missing, sent_ahead(requests, AT_ONCE)):
             cached[name] = [(slot, node) for slot, node in answer()]
         until = now + KEEP_SEC
         with self._mutex:
-            self._slots = {name: each for name, each in self._slots.items() if each[0] > now}
+            self._slots = {name: entry for name, entry in self._slots.items() if entry[0] > now}
             self._slots.update((name, (until, cached[name])) for name in missing)
         return {table.name: cached[table.name] for table in tables if not table.named}
 
@@ -107,10 +107,10 @@ class DirectoryReader:
         if whose.writers is not None:
             whole = self.extent(tables, whose._replace(writers=None))
             pieces = self.pieces(tables, whole, whose) if whole is not None else []
-            own = [piece.time_ranges for piece in pieces if len(piece.time_ranges.first)]
-            if not own:
+            ranges = [piece.time_ranges for piece in pieces if len(piece.time_ranges.first)]
+            if not ranges:
                 return None
-            return min(int(s.first.min()) for s in own), max(int(s.last.max()) for s in own)
+            return min(int(s.first.min()) for s in ranges), max(int(s.last.max()) for s in ranges)
         ends: list[int] = []
         emptied: dict[str, TopicTable] = {}
         for reverse in (False, True):
@@ -143,11 +143,11 @@ class DirectoryReader:
         for (table, place), answer in zip(slot_ranges, sent_ahead(answers, AT_ONCE)):
             length, ttl = table.metadata.bucket_ns, table.metadata.ttl
             times: list[int] = []
-            found = answer()
-            if len(found) >= _WRITERS and found[0].bucket == found[-1].bucket:
+            entries = answer()
+            if len(entries) >= _WRITERS and entries[0].bucket == entries[-1].bucket:
                 # There may be more writers, whose messages are earlier or later.
-                found = self._directory.find(table.name, place[1], found[0].bucket)
-            rows = [row for row in found if not row.expired(ttl)]
+                entries = self._directory.find(table.name, place[1], entries[0].bucket)
+            rows = [row for row in entries if not row.expired(ttl)]
             for row in [] if any(row.cut for row in rows) else rows:
                 if row.rows:
                     times += (row.t_min, row.t_max)
@@ -163,12 +163,12 @@ class DirectoryReader:
         counts: list[RangeCounts] = []
         parts = list(self._parts(tables, ends, whose))
         stride = max(1, -(-len(parts) // MAX_PARTITIONS))
-        chosen, left = _thinned(parts, stride)
+        chosen, others = _thin(parts, stride)
         limit = max(LEAST_BUCKETS, MAX_BUCKETS // max(1, len(chosen)))
         answers = self._columns(chosen, limit)
-        for (table, (_, node, _), _), (columns, each) in zip(chosen, answers):
-            counts.append(piece_of(table, node, columns, each, whose))
-        return [*counts, *_rest(left, counts)]
+        for (table, (_, node, _), _), (columns, weight) in zip(chosen, answers):
+            counts.append(piece_of(table, node, columns, weight, whose))
+        return [*counts, *_rest(others, counts)]
 
     def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[SlotPart]:
         """Yield the partitions with buckets in a time range, and the range of these buckets."""
@@ -185,15 +185,15 @@ class DirectoryReader:
 
     def _columns(self, parts: Sequence[SlotPart], limit: int) -> list[tuple[BucketColumns, int]]:
         """Return the buckets of partitions, and the number of buckets for which each one stands."""
-        until, left = self._clock() + KEEP_SEC, MAX_RECOUNTS
+        until, recounts_left = self._clock() + KEEP_SEC, MAX_RECOUNTS
         tables = {place: table for table, place, _ in parts}
         columns_of_slots = {place: self._get(place, ends, limit) for _, place, ends in parts}
         missing = [(place, ends) for _, place, ends in parts if columns_of_slots[place] is None]
 
         def keep(place: SlotKey, ends: Ends, columns: BucketColumns, stride: int) -> None:
-            nonlocal left
-            columns, done = self._recounted(tables[place], place[1], columns, left)
-            left -= done
+            nonlocal recounts_left
+            columns, done = self._recount(tables[place], place[1], columns, recounts_left)
+            recounts_left -= done
             columns_of_slots[place] = self._keep(place, _CachedRows(until, ends, columns, stride))
 
         # One row more than the limit shows that there are too many.
@@ -211,10 +211,10 @@ class DirectoryReader:
         for (place, ends, stride), columns in zip(many, answers):
             keep(place, ends, columns, stride)
         return [
-            each for each in (columns_of_slots[place] for _, place, _ in parts) if each is not None
+            pair for pair in (columns_of_slots[place] for _, place, _ in parts) if pair is not None
         ]
 
-    def _recounted(
+    def _recount(
         self, table: TopicTable, node: str, columns: BucketColumns, most: int
     ) -> tuple[BucketColumns, int]:
         """Count the messages of buckets with deleted messages; return columns and number counted.
@@ -225,8 +225,8 @@ class DirectoryReader:
         buckets = np.unique(columns.bucket[columns.cut])[:most].tolist()
         if not buckets:
             return columns, 0
-        asked = ((table.name, node, slot_of(bucket), bucket, bucket) for bucket in buckets)
-        answers = sent_ahead(self._directory.begin_buckets(asked), AT_ONCE)
+        params = ((table.name, node, slot_of(bucket), bucket, bucket) for bucket in buckets)
+        answers = sent_ahead(self._directory.begin_buckets(params), AT_ONCE)
         rows = settle(self._directory, table, [row for answer in answers for row in answer()])
         counts = {(row.bucket, row.writer): row for row in rows}
         columns = BucketColumns._make(column.copy() for column in columns)
@@ -277,23 +277,23 @@ def _outmost_slots(slots: Listed, reverse: bool) -> dict[str, int]:
     return {node: slot for slot, node in ordered}  # of equal keys the last one stays
 
 
-def _thinned(parts: Sequence[SlotPart], stride: int) -> tuple[list[SlotPart], list[SlotPart]]:
+def _thin(parts: Sequence[SlotPart], stride: int) -> tuple[list[SlotPart], list[SlotPart]]:
     """Choose one in ``stride`` partitions of each table and node, always with the first one."""
     met: Counter[tuple[str, str]] = Counter()
     chosen: list[SlotPart] = []
-    left: list[SlotPart] = []
-    for part in parts:
-        lane = part[1][:2]
-        (left if met[lane] % stride else chosen).append(part)
+    others: list[SlotPart] = []
+    for slot_part in parts:
+        lane = slot_part[1][:2]
+        (others if met[lane] % stride else chosen).append(slot_part)
         met[lane] += 1
-    return chosen, left
+    return chosen, others
 
 
 def _rest(parts: Sequence[SlotPart], read: Sequence[RangeCounts]) -> Iterator[RangeCounts]:
     """Yield estimates for the partitions that were not read."""
-    left: dict[tuple[str, str], tuple[TopicTable, list[Ends]]] = {}
+    by_lane: dict[tuple[str, str], tuple[TopicTable, list[Ends]]] = {}
     for table, (_, node, _), inside in parts:
-        left.setdefault((table.name, node), (table, []))[1].append(inside)
-    for (name, node), (table, ends) in left.items():
-        own = [piece for piece in read if piece.node == node and piece.table.name == name]
-        yield unread(table, node, ends, own)
+        by_lane.setdefault((table.name, node), (table, []))[1].append(inside)
+    for (name, node), (table, ends) in by_lane.items():
+        pieces = [piece for piece in read if piece.node == node and piece.table.name == name]
+        yield unread(table, node, ends, pieces)

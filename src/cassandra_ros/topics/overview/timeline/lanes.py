@@ -93,17 +93,15 @@ class Lane:
     @property
     def times(self) -> tuple[int | None, int | None]:
         """Times of the first and the last message, ns; None if there is no message."""
-        firsts = [
-            int(each.min()) for each in (self.time_ranges.first, self.keys.times) if len(each)
-        ]
-        lasts = [int(each.max()) for each in (self.time_ranges.last, self.keys.times) if len(each)]
+        firsts = [int(t.min()) for t in (self.time_ranges.first, self.keys.times) if len(t)]
+        lasts = [int(t.max()) for t in (self.time_ranges.last, self.keys.times) if len(t)]
         return min(firsts, default=None), max(lasts, default=None)
 
     @property
     def parts(self) -> list[tuple[Longs, Longs]]:
         """First and last times of the time ranges and single messages of the lane, ns."""
         every = (self.time_ranges.first, self.time_ranges.last), (self.keys.times, self.keys.times)
-        return [part for part in every if len(part[0])]
+        return [pair for pair in every if len(pair[0])]
 
     @property
     def messages(self) -> int:
@@ -127,9 +125,9 @@ class Lane:
 
         Pauses between its buckets do not count.
         """
-        each = self.time_ranges
-        covered_ns = int((each.last - each.first)[each.messages > 1].sum())
-        steps = int(np.maximum(each.messages - 1, 0).sum())
+        ranges = self.time_ranges
+        covered_ns = int((ranges.last - ranges.first)[ranges.messages > 1].sum())
+        steps = int(np.maximum(ranges.messages - 1, 0).sum())
         if not covered_ns and len(self.keys.times) > 1:
             covered_ns = int(self.keys.times.max() - self.keys.times.min())
             steps = len(self.keys.times) - 1
@@ -183,7 +181,7 @@ class Picture(NamedTuple):
 
         A clock that was not set begins in 1970, which makes two eras.
         """
-        parts = [part for lane in self.lanes for part in lane.parts]
+        parts = [pair for lane in self.lanes for pair in lane.parts]
         if not parts:
             return []
         firsts, lasts = (np.concatenate(ends) for ends in zip(*parts))
@@ -202,7 +200,7 @@ class Picture(NamedTuple):
         for lane in self.lanes:
             for span in _spans(lane):
                 key = span.node, span.writer
-                spans[key] = _joined(spans[key], span) if key in spans else span
+                spans[key] = _join(spans[key], span) if key in spans else span
         longest = sorted(spans.values(), key=lambda span: span.first - span.last)[:MAX_RUNS]
         return sorted(longest, key=lambda span: (span.first, span.last, span.writer))
 
@@ -210,7 +208,7 @@ class Picture(NamedTuple):
 def _spans(lane: Lane) -> list[RunSpan]:
     s, keys = lane.time_ranges, lane.keys
     ones = np.ones(len(keys.times), np.int64)
-    first, last = (np.concatenate([each, keys.times]) for each in (s.first, s.last))
+    first, last = (np.concatenate([ends, keys.times]) for ends in (s.first, s.last))
     messages, writers = (
         np.concatenate(pair) for pair in ((s.messages, ones), (s.writer, keys.writers))
     )
@@ -224,7 +222,7 @@ def _spans(lane: Lane) -> list[RunSpan]:
     return [RunSpan(w, lane.node, low, high, int(n)) for w, low, high, n in rows if w]
 
 
-def _joined(one: RunSpan, other: RunSpan) -> RunSpan:
+def _join(one: RunSpan, other: RunSpan) -> RunSpan:
     first, last = min(one.first, other.first), max(one.last, other.last)
     return RunSpan(one.writer, one.node, first, last, one.messages + other.messages)
 
@@ -301,14 +299,14 @@ class Timeline:
         had: set[tuple[str, str]] = set()
         for table in tables:
             listed = {node for _, node in slots.get(table.name, [])}
-            own = of_table.get(table.name, [])
-            nodes = listed | {piece.node for piece in own} or {table.metadata.nodeID}
+            table_pieces = of_table.get(table.name, [])
+            nodes = listed | {piece.node for piece in table_pieces} or {table.metadata.nodeID}
             if whose.nodes is not None:
                 nodes = nodes.intersection(whose.nodes)
             for node in nodes:
                 of_lane = lanes.setdefault((node, table.metadata.topic), ([], []))
                 of_lane[0].append(table)
-                of_lane[1].extend(piece for piece in own if piece.node == node)
+                of_lane[1].extend(piece for piece in table_pieces if piece.node == node)
             had.update((node, table.metadata.topic) for node in listed)
         drawn = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
         if whose.writers is not None:

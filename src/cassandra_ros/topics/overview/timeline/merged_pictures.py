@@ -40,11 +40,11 @@ def merged_picture(pictures: Sequence[Picture], extent: Ends | None) -> Picture:
             lanes.setdefault((lane.node, lane.topic), []).append(lane)
     scale = next((picture.scale for picture in pictures), None)
     ends = (0, 0) if scale is None else (scale.start, scale.end)
-    merged = [_merged(lanes[key], ends) for key in sorted(lanes)]
+    merged = [_merge(lanes[key], ends) for key in sorted(lanes)]
     # A store whose messages of a topic were deleted still has the topic, of no robot.
     others = {lane.topic for lane in merged if lane.node}
     return Picture(
-        extent, scale, [each for each in merged if each.topic not in others or not _is_bare(each)]
+        extent, scale, [lane for lane in merged if lane.topic not in others or not _is_bare(lane)]
     )
 
 
@@ -53,13 +53,13 @@ def _is_bare(lane: Lane) -> bool:
     return not lane.node and lane.times[0] is None
 
 
-def _merged(lanes: Sequence[Lane], ends: Ends) -> Lane:
+def _merge(lanes: Sequence[Lane], ends: Ends) -> Lane:
     """Return the lane of a topic and robot in all stores."""
     if len(lanes) == 1:
         return lanes[0]
     parts = [TimeRanges.joined([lane.time_ranges, _single(lane.keys)]) for lane in lanes]
     ranges = TimeRanges.joined(parts)
-    store = np.repeat(np.arange(len(parts)), [len(part.first) for part in parts])
+    store = np.repeat(np.arange(len(parts)), [len(time_ranges.first) for time_ranges in parts])
     kinds = [(len(lane.time_ranges.first), len(lane.keys.times)) for lane in lanes]
     single = np.concatenate([np.repeat([False, True], lengths) for lengths in kinds])
     seqs = np.concatenate(
@@ -100,20 +100,20 @@ def _counted_once(
     Returns:
         Which time ranges count, and which overlap time ranges of the same run in another store.
     """
-    known = np.zeros(len(store), bool)
-    known[np.unique(np.stack([ranges.first, seqs]), axis=1, return_index=True)[1]] = True
+    is_first = np.zeros(len(store), bool)
+    is_first[np.unique(np.stack([ranges.first, seqs]), axis=1, return_index=True)[1]] = True
     counts, shared = np.ones(len(store), bool), np.zeros(len(store), bool)
     order = np.lexsort((ranges.first, ranges.writer))
-    for own in np.split(order, np.flatnonzero(np.diff(ranges.writer[order])) + 1):
-        if not len(own) or (store[own] == store[own[0]]).all():
+    for run in np.split(order, np.flatnonzero(np.diff(ranges.writer[order])) + 1):
+        if not len(run) or (store[run] == store[run[0]]).all():
             continue
-        reach = np.maximum.accumulate(ranges.last[own])
-        group = np.cumsum(np.r_[False, ranges.first[own][1:] > reach[:-1]])
+        reach = np.maximum.accumulate(ranges.last[run])
+        group = np.cumsum(np.r_[False, ranges.first[run][1:] > reach[:-1]])
         totals = np.full((group[-1] + 1, store.max() + 1), -1)  # -1 = no messages, 0 = unknown
-        totals[group, store[own]] = 0
-        np.add.at(totals, (group, store[own]), ranges.messages[own])
-        exact = (np.bincount(group, ~single[own]) == 0)[group]
-        most = store[own] == totals.argmax(axis=1)[group]
-        counts[own] = np.where(exact, known[own], most)
-        shared[own] = ((totals >= 0).sum(axis=1) > 1)[group] & ~exact
+        totals[group, store[run]] = 0
+        np.add.at(totals, (group, store[run]), ranges.messages[run])
+        exact = (np.bincount(group, ~single[run]) == 0)[group]
+        most = store[run] == totals.argmax(axis=1)[group]
+        counts[run] = np.where(exact, is_first[run], most)
+        shared[run] = ((totals >= 0).sum(axis=1) > 1)[group] & ~exact
     return counts, shared

@@ -119,9 +119,7 @@ def unread(
     """
     length = table.metadata.bucket_ns
     first, last = (np.array(buckets, np.int64) * length for buckets in zip(*ends))
-    columns = (
-        [int(each.sum()) for each in (p.time_ranges.messages, p.time_ranges.bytes)] for p in read
-    )
+    columns = ([int(n.sum()) for n in (p.time_ranges.messages, p.time_ranges.bytes)] for p in read)
     totals = np.array(list(columns), np.int64).reshape(-1, 2).sum(axis=0) // max(1, len(read))
     messages, size = (np.full(len(ends), total) for total in totals)
     unknown = np.zeros(len(ends), np.int64)

@@ -204,8 +204,8 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[tuple[int, int]]
     seen = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
     gaps: list[tuple[int, int]] = []
     for one in np.unique(writer[1:][seen]):  # of thousands of runs few have a pause
-        own = order[writer == one]
-        columns = time_ranges.first[own], time_ranges.last[own], time_ranges.messages[own]
+        run = order[writer == one]
+        columns = time_ranges.first[run], time_ranges.last[run], time_ranges.messages[run]
         gaps += _gaps(*columns, scale)
     return _longest(gaps)
 
