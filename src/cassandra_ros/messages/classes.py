@@ -89,8 +89,8 @@ class _GeneratedMessage(genpy.Message):
 
     def __reduce__(self) -> tuple[object, ...]:
         of = self._generated_for
-        made = _new_message, (of.type, of.text, of.md5sum, self._type)
-        return (*made, self.__getstate__())
+        recipe = _new_message, (of.type, of.text, of.md5sum, self._type)
+        return (*recipe, self.__getstate__())
 
 
 def _new_message(of_type: str, text: str, md5sum: str, msg_type: str) -> Any:

@@ -201,8 +201,8 @@ def _render_whole(definition: Definition, msg_type: str) -> str:
     """Return the full text of a type, constants included, as ``gendeps --cat`` prints it."""
     names = [msg_type]
     for name in names:
-        used = (f.type for f in definition.specs[name].fields if not f.is_primitive)
-        names.extend(dict.fromkeys(n for n in used if n not in names))
+        types = (f.type for f in definition.specs[name].fields if not f.is_primitive)
+        names.extend(dict.fromkeys(n for n in types if n not in names))
     parts = []
     for name in names:
         spec = definition.specs[name]

@@ -38,16 +38,16 @@ def object_counts(msg_type: str, specs: Specs) -> dict[str, int] | None:
 
     That is possible only if a message without bytes is nested in the type; else return None.
     """
-    done: dict[str, _Shape] = {}
-    _shape(msg_type, specs, done, ())
-    if all(shape.least_bytes for name, shape in done.items() if name != msg_type):
+    shapes: dict[str, _Shape] = {}
+    _shape(msg_type, specs, shapes, ())
+    if all(shape.least_bytes for name, shape in shapes.items() if name != msg_type):
         return None
-    return {name: shape.objects for name, shape in done.items()}
+    return {name: shape.objects for name, shape in shapes.items()}
 
 
-def _shape(name: str, specs: Specs, done: dict[str, _Shape], path: tuple[str, ...]) -> _Shape:
-    if name in done:
-        return done[name]
+def _shape(name: str, specs: Specs, shapes: dict[str, _Shape], path: tuple[str, ...]) -> _Shape:
+    if name in shapes:
+        return shapes[name]
     if name in path:
         raise DefinitionError(f"message type {name} contains itself")
     if len(path) > MAX_DEPTH:
@@ -56,7 +56,7 @@ def _shape(name: str, specs: Specs, done: dict[str, _Shape], path: tuple[str, ..
     for field in specs[name].fields:
         element = _Shape(-1, 1, PRIMITIVE_SIZES.get(field.type, 0), 0)
         if not field.is_primitive:
-            element = _shape(field.type, specs, done, (*path, name))
+            element = _shape(field.type, specs, shapes, (*path, name))
         height = max(height, element.height + 1)
         leaves += max(1, element.leaves)
         count = _count(name, field, element)
@@ -68,8 +68,8 @@ def _shape(name: str, specs: Specs, done: dict[str, _Shape], path: tuple[str, ..
         raise DefinitionError(f"message type {name} has over {MAX_LEAVES} fields in all")
     if max(least, objects * OBJECT_BYTES) > MAX_FIXED_BYTES:
         raise DefinitionError(f"the fixed arrays of message type {name} exceed 2**26 bytes")
-    done[name] = _Shape(height, leaves, least, objects)
-    return done[name]
+    shapes[name] = _Shape(height, leaves, least, objects)
+    return shapes[name]
 
 
 def _count(name: str, field: Field, element: _Shape) -> int | None:
@@ -92,8 +92,8 @@ def compute_md5(msg_type: str, specs: Specs) -> dict[str, str]:
         if name not in sums:
             lines = [f"{c.type} {c.name}={c.text}\n" for c in specs[name].constants]
             for field in specs[name].fields:
-                shown = field.declared or field.full_type
-                lines.append(f"{shown if field.is_primitive else md5(field.type)} {field.name}\n")
+                kind = field.declared or field.full_type
+                lines.append(f"{kind if field.is_primitive else md5(field.type)} {field.name}\n")
             text = "".join(lines).strip().encode("utf-8", "surrogateescape")
             sums[name] = hashlib.md5(text).hexdigest()
         return sums[name]

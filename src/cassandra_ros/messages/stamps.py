@@ -60,11 +60,11 @@ def seconds_to_ns(seconds: Any) -> int:
         raise InvalidKey(f"{seconds!r} is not a number of seconds") from exc
 
 
-def check_ns(ns: int, shown: object = None) -> int:
+def check_ns(ns: int, original: object = None) -> int:
     """Return ns if ROS can express it, else raise InvalidKey."""
     if 0 <= ns <= MAX_NS:
         return ns
-    what = f"{ns} ns" if shown is None else repr(shown)
+    what = f"{ns} ns" if original is None else repr(original)
     raise InvalidKey(
         f"{what} is not a time of ROS 1, which reaches from 1970 to 2106-02-07 "
         f"({MAX_NS} ns); an int means nanoseconds, a float seconds"

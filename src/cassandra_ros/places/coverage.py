@@ -40,9 +40,9 @@ class Coverage:
         if not extents:
             return []
         cells = cells_of(region.box)
-        noted = [] if cells is None else self._valid_records(robot)
-        ranges = list(uncovered_ranges(extents, noted))
-        if cells is not None and any(robot.frame in record.above for record in noted):
+        records = [] if cells is None else self._valid_records(robot)
+        ranges = list(uncovered_ranges(extents, records))
+        if cells is not None and any(robot.frame in record.above for record in records):
             ranges += self._visits(robot, cells, low, high)
         return list(clip_ranges(merge_ranges(sorted(ranges)), low, high))
 
@@ -64,43 +64,43 @@ class Coverage:
         return self._index.visits(squares, robot.node, max(0, low) - _FIRST, high)
 
 
-def is_valid(noted: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> bool:
+def is_valid(record: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> bool:
     """Return whether an index record is still valid for a robot.
 
     Args:
         fixed: Parent and pose of each fixed frame, as it is now.
     """
     if not robot.name:
-        return robot.frame in noted.above
-    if any(fixed.get(frame, "") != how for frame, how in noted.above.items()):
+        return robot.frame in record.above
+    if any(fixed.get(frame, "") != how for frame, how in record.above.items()):
         return False
     # A frame that did not exist has no visits, unless it was fixed to another frame since.
-    absent = robot.frame not in noted.frames and robot.frame not in fixed
-    absent = absent and len(noted.frames) < MAX_FRAMES
-    return robot.frame in noted.above or (
+    absent = robot.frame not in record.frames and robot.frame not in fixed
+    absent = absent and len(record.frames) < MAX_FRAMES
+    return robot.frame in record.above or (
         absent and not any(how.startswith(f"{robot.frame} [") for how in fixed.values())
     )
 
 
-def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[IndexedPoses]) -> Iterator[NsRange]:
+def uncovered_ranges(extents: Sequence[Extent], index: Sequence[IndexedPoses]) -> Iterator[NsRange]:
     """Yield the time ranges that the index does not fully cover, in no order.
 
     These are the times of poses without an index record, those around the ends of records, and
     those at which several runs recorded: then each message is judged by the poses of its own run.
     """
     indexed: dict[tuple[str, int], list[NsRange]] = {}
-    for record in noted:
+    for record in index:
         indexed.setdefault((record.table, record.writer), []).append((record.low, record.high))
     for extent in extents:
-        said = list(merge_ranges(sorted(indexed.get(extent[:2], ()))))
-        for low, high in subtract_ranges([extent[2:]], said):
+        ranges = list(merge_ranges(sorted(indexed.get(extent[:2], ()))))
+        for low, high in subtract_ranges([extent[2:]], ranges):
             yield low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
     for one, other in overlapping_pairs(extents):
         yield other.low - LONGEST_GAP_NS, min(one.high, other.high) + LONGEST_GAP_NS
     # The robot may have moved between the last pose of one run and the first pose of the next.
     there = {extent[:2] for extent in extents}
     last: int | None = None
-    for low, high in sorted((n.low, n.high) for n in noted if (n.table, n.writer) in there):
+    for low, high in sorted((n.low, n.high) for n in index if (n.table, n.writer) in there):
         if last is not None and last < low <= last + LONGEST_GAP_NS:
             yield last, low
         last = high if last is None else max(last, high)

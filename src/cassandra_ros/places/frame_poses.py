@@ -169,8 +169,8 @@ class TfRecording:
 
 def filled(values: AnyArray, missing: float) -> AnyArray:
     """Return values with ``missing`` in place of the missing ones."""
-    made: AnyArray = np.ma.filled(values, missing)  # type: ignore[no-untyped-call]
-    return made
+    array: AnyArray = np.ma.filled(values, missing)  # type: ignore[no-untyped-call]
+    return array
 
 
 class FrameChain:
@@ -197,10 +197,10 @@ class FrameChain:
 
     def unknown_frame(self) -> str:
         """Say which frame is in no transform that was read, with similar ones; '' = both are."""
-        recorded = sorted(self._frames.recorded)
+        names = sorted(self._frames.recorded)
         for name in (self.of, self.frame):
             if name not in self._frames.recorded:
-                return f"frame {name!r:.80} is in no transform{nearest(name, recorded)}"
+                return f"frame {name!r:.80} is in no transform{nearest(name, names)}"
         return ""
 
     def next_key(self, time: int) -> int | None:
@@ -257,19 +257,19 @@ class _AncestorSearch:
     def ways(self, frame: int) -> Sequence[AncestorPath]:
         """Return the paths upwards from a frame; each time belongs to one path."""
         count = len(self._times)
-        done: list[AncestorPath] = []
-        going = [AncestorPath(np.arange(count), (frame,), (Rigid.none(count),))]
-        while going:
-            way = going.pop()
+        ways: list[AncestorPath] = []
+        stack = [AncestorPath(np.arange(count), (frame,), (Rigid.none(count),))]
+        while stack:
+            way = stack.pop()
             steps, parents = self._step(way.frames[-1], way.rows)
             for parent in np.unique(parents).tolist():
                 path = _part(way, parents == parent)
                 if parent == NO_FRAME or parent in way.frames:
-                    done.append(path)
+                    ways.append(path)
                     continue
                 higher = steps.take(parents == parent) @ path.poses[-1]
-                going.append(AncestorPath(path.rows, (*way.frames, parent), (*path.poses, higher)))
-        return done
+                stack.append(AncestorPath(path.rows, (*way.frames, parent), (*path.poses, higher)))
+        return ways
 
     def _step(self, frame: int, rows: Codes) -> tuple[Rigid, Codes]:
         """Return the poses of a frame in its parents, and the parents."""
@@ -279,8 +279,8 @@ class _AncestorSearch:
             same = np.zeros(len(rows), np.int64)
             return pose.take(same), np.full(len(rows), parent)
         track = self._samples.track(frame, self._stamped)
-        placed, parents = track.at(self._times[rows], self._gap)
-        return placed.poses, parents
+        known_poses, parents = track.at(self._times[rows], self._gap)
+        return known_poses.poses, parents
 
 
 def _part(way: AncestorPath, which: Flags) -> AncestorPath:

@@ -50,8 +50,8 @@ class Path:
         x, y = (
             [none, *(getattr(track.poses, name) for track in all_tracks)] for name in ("x", "y")
         )
-        joined, first = np.unique(np.concatenate(times), return_index=True)
-        return cls(joined, np.concatenate(x)[first], np.concatenate(y)[first])
+        unique_times, first = np.unique(np.concatenate(times), return_index=True)
+        return cls(unique_times, np.concatenate(x)[first], np.concatenate(y)[first])
 
     @classmethod
     def still(cls, x: float, y: float) -> Path:
@@ -88,8 +88,8 @@ class Path:
     def _line_starts(self) -> Times:
         """Indices of the poses that are connected to the next one."""
         far = np.maximum(np.abs(np.diff(self.x)), np.abs(np.diff(self.y)))
-        joined: Times = np.flatnonzero((np.diff(self.times) <= self.gap) & (far <= LONGEST_WAY_M))
-        return joined
+        indices: Times = np.flatnonzero((np.diff(self.times) <= self.gap) & (far <= LONGEST_WAY_M))
+        return indices
 
     @property
     def lines(self) -> tuple[Times, Times, Lines]:
@@ -102,11 +102,11 @@ class Path:
     def stays(self, region: Region) -> Iterator[NsRange]:
         """Yield the time ranges of stays in a region, up to AROUND_NS too long, in time order."""
         starts, ends, lines = self.lines
-        begun, ended = starts.tolist(), ends.tolist()
+        start_ns, end_ns = starts.tolist(), ends.tolist()
         ranges: list[NsRange] = []
         for n, first, last in region.shares(lines):
-            length = ended[n] - begun[n]
-            low, high = begun[n] + int(first * length), begun[n] + int(last * length)
+            length = end_ns[n] - start_ns[n]
+            low, high = start_ns[n] + int(first * length), start_ns[n] + int(last * length)
             ranges.append((low - AROUND_NS, high + AROUND_NS))
         for n in self.alone.tolist():
             if region.holds(float(self.x[n]), float(self.y[n])):
@@ -143,17 +143,17 @@ def clip_ranges(spans: Iterable[NsRange], low: int, high: int) -> Iterator[NsRan
             yield max(start, low), min(end, high)
 
 
-def subtract_ranges(spans: Sequence[NsRange], taken: Sequence[NsRange]) -> Iterator[NsRange]:
-    """Yield the parts of time ranges that are not in ``taken``; both sorted and disjoint."""
-    first_taken = 0
+def subtract_ranges(spans: Sequence[NsRange], holes: Sequence[NsRange]) -> Iterator[NsRange]:
+    """Yield the parts of time ranges that are not in ``holes``; both sorted and disjoint."""
+    first_hole = 0
     for low, high in spans:
-        while first_taken < len(taken) and taken[first_taken][1] < low:
-            first_taken += 1
-        n = first_taken
-        while n < len(taken) and taken[n][0] <= high:
-            if taken[n][0] > low:
-                yield low, taken[n][0] - 1
-            low = max(low, taken[n][1] + 1)
+        while first_hole < len(holes) and holes[first_hole][1] < low:
+            first_hole += 1
+        n = first_hole
+        while n < len(holes) and holes[n][0] <= high:
+            if holes[n][0] > low:
+                yield low, holes[n][0] - 1
+            low = max(low, holes[n][1] + 1)
             n += 1
         if low <= high:
             yield low, high

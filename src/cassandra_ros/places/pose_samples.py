@@ -52,12 +52,12 @@ class Track:
             nowhere = np.full(len(times), NO_FRAME)
             return KnownPoses(Rigid.none(len(times)), np.zeros(len(times), bool)), nowhere
         before = np.searchsorted(self.times, times, side="right") - 1
-        begun = before >= 0
+        has_before = before >= 0
         before = np.maximum(before, 0)
         after = np.minimum(before + 1, count - 1)
-        exact = begun & (self.times[before] == times)
+        exact = has_before & (self.times[before] == times)
         gap = self.times[after] - self.times[before]
-        valid = exact | (begun & (after > before) & (gap <= longest_gap_ns))
+        valid = exact | (has_before & (after > before) & (gap <= longest_gap_ns))
         steady = exact | (self.parents[before] != self.parents[after]) | (gap <= 0) | ~valid
         share = np.where(steady, 0, (times - self.times[before]) / np.maximum(gap, 1))
         poses = between(self.poses.take(before), self.poses.take(after), share)

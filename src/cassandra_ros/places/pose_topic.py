@@ -117,11 +117,11 @@ class PoseTopic:
         """Return the poses with a row key in [low, high], ns; none of them in another frame."""
         if low > high:
             return Samples.none()
-        framed = self._framed and self.frame != ""
-        head = [_STAMP] * self._stamped + [_FRAME] * framed
+        has_frame = self._framed and self.frame != ""
+        head = [_STAMP] * self._stamped + [_FRAME] * has_frame
         fields = ["KEY", *head, *self._fields]
         arrays = arrays_between(self._topic, fields, low, high, self._node, self._writers)
-        if framed:
+        if has_frame:
             texts = (str(text or "").lstrip("/") for text in arrays[_FRAME])
             ours = np.fromiter((text in (self.frame, "") for text in texts), bool)
             if not ours.all():

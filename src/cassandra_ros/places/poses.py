@@ -117,9 +117,9 @@ class Poses:
         for rows in self._together(keys, order):
             low, high = int(keys[rows[0]]), int(keys[rows[-1]])
             samples = self._samples(low - self._reach, high + self._reach)
-            placed = self._source.placed(samples, times[rows], stamps is not None, self._gap)
-            poses.put(rows, placed.poses)
-            valid[rows] = placed.known
+            known_poses = self._source.placed(samples, times[rows], stamps is not None, self._gap)
+            poses.put(rows, known_poses.poses)
+            valid[rows] = known_poses.known
         return KnownPoses(poses, valid)
 
     def tracks(self, low: int, high: int, stamped: bool = False) -> Iterator[Track]:
@@ -161,11 +161,11 @@ class Poses:
 
     def _together(self, keys: Times, order: Codes) -> Iterator[Codes]:
         """Cut sorted keys into groups, so that none needs too long a range of samples."""
-        ordered = keys[order]
-        gaps = np.flatnonzero(np.diff(ordered) > 2 * self._reach) + 1
+        times = keys[order]
+        gaps = np.flatnonzero(np.diff(times) > 2 * self._reach) + 1
         start = 0
         while start < len(order):
-            span_end = int(np.searchsorted(ordered, ordered[start] + MAX_SPAN_NS, side="right"))
+            span_end = int(np.searchsorted(times, times[start] + MAX_SPAN_NS, side="right"))
             gap = int(np.searchsorted(gaps, start, side="right"))
             end = min(span_end, int(gaps[gap]) if gap < len(gaps) else len(order))
             yield order[start:end]
@@ -178,11 +178,11 @@ class Poses:
     def _samples(self, low: int, high: int) -> Samples:
         """Return the samples of a range of row keys; those that are held are not read again."""
         low, high = max(0, low), min(high, MAX_NS)
-        first, last, held = self._held
+        first, last, samples = self._held
         if first <= low <= last + 1 and low <= high:
             if high > last:
-                held = held.within(low, last).followed(self._source.read(last + 1, high))
-                self._held = (low, high, held)
+                samples = samples.within(low, last).followed(self._source.read(last + 1, high))
+                self._held = (low, high, samples)
         else:
             self._held = (low, high, self._source.read(low, high))
         return self._held[2].within(low, high)

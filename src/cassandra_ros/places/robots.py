@@ -165,8 +165,8 @@ def find_frames(find: TopicFinder, node: str, writers: Writers = None) -> TfFram
                 near = first + (last - _SAMPLE_NS - first) * number // (_SAMPLES - 1)
                 at = key_after(frames.moving, max(first, near) - 1, node, writers)
                 parts.append(frames.read(first if at is None else at, (at or first) + _SAMPLE_NS))
-    seen = frames_in(frames, parts)
-    return seen if seen.frames else None
+    tf = frames_in(frames, parts)
+    return tf if tf.frames else None
 
 
 class RobotFinder:
@@ -261,28 +261,28 @@ class RobotFinder:
                 return None
             frame = self._frame_of(named, node, writers)
             return of_topic(named) if frame in (self._frame, "") else None
-        seen = self._find_frames(node, writers)
-        if seen is not None and self._frame in seen.frames:
-            return self._in_tf(node, seen, writers)
+        tf = self._find_frames(node, writers)
+        if tf is not None and self._frame in tf.frames:
+            return self._in_tf(node, tf, writers)
         if self._robot:
             return None
         topics = [t for t in self._candidates if self._frame_of(t, node, writers) == self._frame]
         kind = next((kind for kind in _TYPES if any(_is_of(t, kind) for t in topics)), "")
-        meant = [topic for topic in topics if _is_of(topic, kind)]
-        if len(meant) > 1:
-            names = " and ".join(topic.name for topic in meant)
+        candidates = [topic for topic in topics if _is_of(topic, kind)]
+        if len(candidates) > 1:
+            names = " and ".join(topic.name for topic in candidates)
             raise InvalidOption(
                 f"{names} tell poses in frame {self._frame!r}; say which is meant, as "
-                f"NEAR(x, y, radius, '{self._frame}', '{meant[0].name}')"
+                f"NEAR(x, y, radius, '{self._frame}', '{candidates[0].name}')"
             )
-        return of_topic(meant[0]) if meant else None
+        return of_topic(candidates[0]) if candidates else None
 
-    def _in_tf(self, node: str, seen: TfFrames, writers: Writers) -> Robot | None:
+    def _in_tf(self, node: str, tf: TfFrames, writers: Writers) -> Robot | None:
         name = self._robot.lstrip("/")
-        if name and name not in seen.frames:
+        if name and name not in tf.frames:
             return None
         if not name:
-            others = [robot for robot in seen.robots if robot != self._frame]
+            others = [robot for robot in tf.robots if robot != self._frame]
             if len(others) != 1:
                 what, example = " and ".join(others) or "no frame", (others or ["base_link"])[0]
                 raise InvalidOption(
@@ -308,8 +308,8 @@ class RobotFinder:
     def _no_pose(self, nodes: Sequence[str]) -> str:
         all_frames: set[str] = set()
         for node in nodes:
-            seen = self._find_frames(node)
-            all_frames |= set() if seen is None else seen.frames
+            tf = self._find_frames(node)
+            all_frames |= set() if tf is None else tf.frames
         of = f" of {self._robot}" if self._robot else ""
         text = f"no pose{of} in frame {self._frame!r} is stored"
         if self._robot and not self._told and self._robot.lstrip("/") not in all_frames:

@@ -92,9 +92,9 @@ class TfVisits:
     def visits(self, low: int, high: int) -> Iterator[Visit]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         samples = self._frames.read(low, high)
-        seen = frames_in(self._frames, [samples])
-        self._seen.update(sorted(seen.frames)[: max(0, MAX_FRAMES - len(self._seen))])
-        for robot in seen.robots:
+        tf = frames_in(self._frames, [samples])
+        self._seen.update(sorted(tf.frames)[: max(0, MAX_FRAMES - len(self._seen))])
+        for robot in tf.robots:
             self._since.setdefault(robot, low if self._begun else 0)
         self._begun = True
         for robot in sorted(self._since):
@@ -183,16 +183,16 @@ class RunIndex:
             return None
         extents = [extent for poses in all_poses for extent in poses.extents]
         total = sum(len(list(_windows(poses.extents))) for poses in all_poses)
-        done = visits = 0
+        windows = visits = 0
         for table in {extent.table for extent in extents}:
             self._index.withdraw(table, run=self._whose)  # the visits are written again
         for poses in all_poses:
             for low, high in _windows(poses.extents):
                 visits_of_window = list(poses.visits(low, high))
                 self._index.put(visits_of_window, [], self._ttl)
-                done, visits = done + 1, visits + len(visits_of_window)
+                windows, visits = windows + 1, visits + len(visits_of_window)
                 if progress is not None:
-                    progress(done * _WINDOW_SEC, total * _WINDOW_SEC)
+                    progress(windows * _WINDOW_SEC, total * _WINDOW_SEC)
             self._index.put([], poses.placed(), self._ttl)
         return IndexResult(min(e.low for e in extents), max(e.high for e in extents), visits)
 

@@ -119,11 +119,11 @@ def reduce_points(path: Path, most: int) -> tuple[Path, list[bool]]:
     far = np.maximum(np.abs(np.diff(path.x)), np.abs(np.diff(path.y))) > LONGEST_WAY_M
     breaks = (np.diff(path.times) > path.gap) | far
     before = np.concatenate([[0], np.cumsum(breaks)])
-    chosen = (
+    indices = (
         np.arange(count) if count <= most else _chosen_indices(path, most, np.flatnonzero(breaks))
     )
-    reduced = Path(path.times[chosen], path.x[chosen], path.y[chosen], path.gap)
-    return reduced, [False, *(np.diff(before[chosen]) == 0).tolist()][: len(reduced)]
+    points = Path(path.times[indices], path.x[indices], path.y[indices], path.gap)
+    return points, [False, *(np.diff(before[indices]) == 0).tolist()][: len(points)]
 
 
 def _chosen_indices(path: Path, most: int, broken: Times) -> Times:
@@ -134,8 +134,8 @@ def _chosen_indices(path: Path, most: int, broken: Times) -> Times:
         few: Times = ends[np.linspace(0, len(ends) - 1, most).astype(np.int64)]
         return few
     # Points are spaced by distance, because a standing robot adds nothing to the picture.
-    gone = np.concatenate([[0], np.cumsum(np.hypot(np.diff(path.x), np.diff(path.y)))])
-    gone = gone + np.linspace(0, 1e-6, count)
-    wanted = np.linspace(0, gone[-1], max(0, most - len(ends)))
-    chosen: Times = np.unique(np.concatenate([ends, np.searchsorted(gone, wanted)]))
-    return chosen[chosen < count]
+    distance = np.concatenate([[0], np.cumsum(np.hypot(np.diff(path.x), np.diff(path.y)))])
+    distance = distance + np.linspace(0, 1e-6, count)
+    steps = np.linspace(0, distance[-1], max(0, most - len(ends)))
+    indices: Times = np.unique(np.concatenate([ends, np.searchsorted(distance, steps)]))
+    return indices[indices < count]

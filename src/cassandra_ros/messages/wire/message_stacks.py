@@ -415,11 +415,11 @@ class Stacker:
             fits = np.arange(len(indices)) == 0 if layout is None else layout.fits(subset)
             if layout is not None and fits.all():
                 return [*stacks, Stack(layout, members[indices], subset)], _join(rest)
-            chosen = indices[fits]
-            if layout is not None and len(chosen) >= least:
-                stacks.append(Stack(layout, members[chosen], subset[:, fits]))
+            alike = indices[fits]
+            if layout is not None and len(alike) >= least:
+                stacks.append(Stack(layout, members[alike], subset[:, fits]))
             else:
-                rest.append(members[chosen])
+                rest.append(members[alike])
             indices = indices[~fits]
         return stacks, _join([*rest, members[indices]])
 
@@ -440,8 +440,8 @@ class Stacker:
         """Return the heads of serialised messages as one stack; shorter ones are left out."""
         size = self.head.size
         members = np.flatnonzero(np.fromiter(map(len, wires), np.int64, len(wires)) >= size)
-        joined = np.frombuffer(b"".join([w[:size] for w in wires if len(w) >= size]), np.uint8)
-        return Stack(self.head, members, joined.reshape(len(members), size).T)
+        data = np.frombuffer(b"".join([w[:size] for w in wires if len(w) >= size]), np.uint8)
+        return Stack(self.head, members, data.reshape(len(members), size).T)
 
     def _layout(self, wire: ByteArray, most: int) -> Layout | None:
         """Return the layout of a message.
@@ -469,8 +469,8 @@ stacker = lru_cache(maxsize=512)(Stacker)
 
 def as_planes(wires: Sequence[bytes]) -> ByteArray:
     """Return messages of equal size as planes; the bytes are joined once, not copied further."""
-    joined = np.frombuffer(b"".join(wires), np.uint8)
-    return joined.reshape(len(wires), len(joined) // len(wires)).T
+    data = np.frombuffer(b"".join(wires), np.uint8)
+    return data.reshape(len(wires), len(data) // len(wires)).T
 
 
 def by_size(wires: Sequence[bytes]) -> Iterable[tuple[Int64Array, ByteArray]]:

@@ -132,11 +132,11 @@ class _ObjectPlan(NamedTuple):
 
     def make(self, columns: Sequence[FieldValues], count: int) -> list[Any]:
         """Make the next ``count`` objects."""
-        made = list(map(object.__new__, repeat(self.cls, count)))
+        objects = list(map(object.__new__, repeat(self.cls, count)))
         for put, source in self.slots:
             values = columns[source] if isinstance(source, int) else source.make(columns, count)
-            deque(map(put, made, values), maxlen=0)
-        return made
+            deque(map(put, objects, values), maxlen=0)
+        return objects
 
 
 class _ElementReader:
@@ -161,8 +161,8 @@ class _ElementReader:
         if self._objects is None:
             return columns.columns[0], ats, 0
         weight = self._objects.size + columns.objects
-        made = _in_batches(self._objects, columns.columns, len(ats), int(MAX_OBJECTS / weight))
-        return chain.from_iterable(made), ats, weight
+        batches = _in_batches(self._objects, columns.columns, len(ats), int(MAX_OBJECTS / weight))
+        return chain.from_iterable(batches), ats, weight
 
     def skip(self, wires: Wires, ats: Offsets) -> Offsets:
         """Return the offsets after them."""
@@ -306,11 +306,11 @@ class ObjectMaker:
         """
         group = ElementGroup(Wires(data), starts, starts + sizes, 1)
         try:
-            made, *_ = self._whole.make(group)
+            objects, *_ = self._whole.make(group)
         except (IndexError, ValueError, struct.error) as exc:  # a length exceeds the buffer
             raise CannotBatch from exc
         codecs.lookup_error("rosmsg").msg_type = self._cls._type  # type: ignore[attr-defined]
-        return map(self._canonical, made) if self._stamps else made
+        return map(self._canonical, objects) if self._stamps else objects
 
     def _canonical(self, message: Any) -> Any:
         # genpy makes the times in the message itself canonical, but not those in nested messages.

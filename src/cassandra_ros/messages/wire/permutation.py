@@ -109,11 +109,11 @@ class Permutation:
             constant[stamp.to : stamp.to + 8] = False
         self._constant_at = np.flatnonzero(constant)
         self._constants = (self._from[self._constant_at] - size).astype(np.uint8)
-        held = self._from < size
+        varying = self._from < size
         self._back = np.zeros(size, np.int64)
-        self._back[self._from[held]] = np.flatnonzero(held)
+        self._back[self._from[varying]] = np.flatnonzero(varying)
         lost = np.ones(size, np.bool_)  # bytes of length prefixes
-        lost[self._from[held]] = False
+        lost[self._from[varying]] = False
         lost[self._time_at.ravel()] = False
         self._lost = np.flatnonzero(lost)
         self._lengths = np.frombuffer(self._wire, np.uint8)[self._lost]

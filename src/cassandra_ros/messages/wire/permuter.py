@@ -199,11 +199,11 @@ class Permuter:
         cache = self._cache  # another thread may replace the cache meanwhile
         if key in cache:
             return cache[key]
-        made = self._make(stack.planes[:, 0].tobytes())
+        permutation = self._make(stack.planes[:, 0].tobytes())
         if len(cache) >= MAX_CACHED:
             cache = self._cache = {}
-        cache[key] = made
-        return made
+        cache[key] = permutation
+        return permutation
 
     def _make(self, wire: bytes) -> Permutation | None:
         try:
@@ -255,10 +255,10 @@ class Permuter:
         rows = windows(np.frombuffer(data, np.uint8), length)[starts[members]]
         for n in range(MAX_LAYOUTS_TRIED):
             if n == len(builders):
-                made = self._learn(key, rows[0].tobytes()) if len(members) >= MIN_ROWS else None
-                if made is None:
+                builder = self._learn(key, rows[0].tobytes()) if len(members) >= MIN_ROWS else None
+                if builder is None:
                     return
-                builders = [*builders, made]
+                builders = [*builders, builder]
                 self._keep(key, builders)
             wires, good = builders[n].wires(rows)
             for at, wire in zip(members[good].tolist(), split_rows(wires[good])):
@@ -270,11 +270,11 @@ class Permuter:
     def _learn(self, key: tuple[int, int], row: bytes) -> Permutation | None:
         """Return the permutation for the layout of a row; None if there is no permutation."""
         try:
-            made = self._make(self._plan.build(_columns(row)))
+            permutation = self._make(self._plan.build(_columns(row)))
         except (CorruptMessage, struct.error):
             return None
-        fits = made is not None and (made.row_size, made.wire_size) == key
-        return made if fits else None
+        fits = permutation is not None and (permutation.row_size, permutation.wire_size) == key
+        return permutation if fits else None
 
     def _keep(self, key: tuple[int, int], permutations: list[Permutation]) -> None:
         cache = self._row_cache  # another thread may replace the cache meanwhile

@@ -50,9 +50,9 @@ _unpack_length = struct.Struct("<I").unpack_from
 
 
 def compile_walk(
-    segments: Sequence[Segment], strict: bool, wanted: Container[str]
+    segments: Sequence[Segment], strict: bool, names: Container[str]
 ) -> list[WalkStep]:
-    """Return the steps that convert a message to the columns named in ``wanted``.
+    """Return the steps that convert a message to the columns named in ``names``.
 
     If strict, a column that cannot hold its field exactly is None and marked, else it holds the
     nearest value.
@@ -60,10 +60,10 @@ def compile_walk(
     steps: list[WalkStep] = []
     for fixed, tail in segments:
         has_length = tail is not None and tail.has_count
-        used, codes = _choose(fixed, wanted)
+        fields, codes = _choose(fixed, names)
         read = struct.Struct(codes + "I" * has_length)
-        head = _head(read, used, has_length, strict)
-        steps.append((head, read.size, None if tail is None else _tail(tail, strict, wanted)))
+        head = _head(read, fields, has_length, strict)
+        steps.append((head, read.size, None if tail is None else _tail(tail, strict, names)))
     return steps
 
 
@@ -79,24 +79,24 @@ def walk_message(
     return at
 
 
-def _choose(fixed: Sequence[FixedField], wanted: Container[str]) -> tuple[list[FixedField], str]:
+def _choose(fixed: Sequence[FixedField], names: Container[str]) -> tuple[list[FixedField], str]:
     """Return the wanted fields, and struct codes that read them and skip the other fields."""
-    chosen = [f.column.name in wanted for f in fixed]
-    codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, chosen)]
-    return [f for f, keep in zip(fixed, chosen) if keep], "<" + "".join(codes)
+    keeps = [f.column.name in names for f in fixed]
+    codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, keeps)]
+    return [f for f, keep in zip(fixed, keeps) if keep], "<" + "".join(codes)
 
 
 def _head(
-    codes: struct.Struct, used: Sequence[FixedField], has_length: bool, strict: bool
+    codes: struct.Struct, fields: Sequence[FixedField], has_length: bool, strict: bool
 ) -> _Head:
     unpack = codes.unpack_from
-    if not used:  # a struct of padding only still checks that the bytes exist
+    if not fields:  # a struct of padding only still checks that the bytes exist
         return lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
-    pack = struct.Struct(">" + "".join(f.big for f in used) + "I" * has_length).pack
-    cut = struct.Struct("".join(f"{f.cql_size}s" for f in used) + "4x" * has_length).unpack
-    stamps = [(i, TO_NS[f.special]) for i, f in enumerate(used) if f.special in TO_NS]
-    bools = [i for i, f in enumerate(used) if f.special == "bool"]
-    varints = [i for i, f in enumerate(used) if f.special == "uint64"]
+    pack = struct.Struct(">" + "".join(f.big for f in fields) + "I" * has_length).pack
+    cut = struct.Struct("".join(f"{f.cql_size}s" for f in fields) + "4x" * has_length).unpack
+    stamps = [(i, TO_NS[f.special]) for i, f in enumerate(fields) if f.special in TO_NS]
+    bools = [i for i, f in enumerate(fields) if f.special == "bool"]
+    varints = [i for i, f in enumerate(fields) if f.special == "uint64"]
 
     def head(wire: bytes, at: int, out: ColumnValues, odd: list[int]) -> int:
         values = unpack(wire, at)
@@ -129,9 +129,9 @@ def _head(
     return special_head if stamps or bools or varints else head
 
 
-def _tail(tail: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
+def _tail(tail: VariableField, strict: bool, names: Container[str]) -> _Tail:
     skip, unit = tail.skip, tail.unit
-    if not any(column.name in wanted for column in tail.columns):
+    if not any(column.name in names for column in tail.columns):
         if tail.kind in ("text", "bytes"):
             return lambda wire, at, count, out, odd: at + count * unit
         back = 4 if tail.has_count else 0
@@ -145,8 +145,8 @@ def _tail(tail: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
     if tail.kind == "texts":
         return _texts(tail.length, strict)
     if len(tail.element) == 1 and tail.element[0].tail is None:
-        return _numbers(tail.element[0].fixed, tail.length, strict, wanted)
-    return _elements(tail, strict, wanted)
+        return _numbers(tail.element[0].fixed, tail.length, strict, names)
+    return _elements(tail, strict, names)
 
 
 def _text(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
@@ -206,12 +206,12 @@ def _texts(length: int | None, strict: bool) -> _Tail:
 
 
 def _numbers(
-    fixed: Sequence[FixedField], length: int | None, strict: bool, wanted: Container[str]
+    fixed: Sequence[FixedField], length: int | None, strict: bool, names: Container[str]
 ) -> _Tail:
     """Return the tail for elements of fixed size: all at once, column by column."""
-    used, codes = _choose(fixed, wanted)
+    fields, codes = _choose(fixed, names)
     unpack, size = struct.Struct(codes).iter_unpack, struct.calcsize(codes)
-    encoders = [pack_numbers(f, strict) for f in used]
+    encoders = [pack_numbers(f, strict) for f in fields]
 
     def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         end = at + (count if length is None else length) * size
@@ -227,10 +227,10 @@ def _numbers(
     return tail
 
 
-def _elements(field: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
+def _elements(field: VariableField, strict: bool, names: Container[str]) -> _Tail:
     """Return the tail for elements of variable size: each is walked like a message."""
-    steps, length = compile_walk(field.element, strict, wanted), field.length
-    sizes = [size for column, size in columns_of(field.element) if column.name in wanted]
+    steps, length = compile_walk(field.element, strict, names), field.length
+    sizes = [size for column, size in columns_of(field.element) if column.name in names]
     encoders = [pack_list if size is None else pack_equal(size) for size in sizes]
 
     def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:

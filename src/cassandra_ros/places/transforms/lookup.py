@@ -63,13 +63,13 @@ def lookup_transform(
         f"topic {name}{'' if topic else ' (which is not stored)'}"
         for name, topic in zip((tf, tf_static), stored)
     ]
-    moving, recorded = stored
+    moving_topic, fixed_topic = stored
     fixed = FixedTransforms()
-    if recorded is not None:
+    if fixed_topic is not None:
         # Newest first, so that older transforms of the same frames are skipped without reading
         # them.
-        recorded.read(fixed, 0, MAX_NS, reverse=True)
-    lookup = _Lookup(moving, fixed, LookupErrors(frames, topics, node, time, tables))
+        fixed_topic.read(fixed, 0, MAX_NS, reverse=True)
+    lookup = _Lookup(moving_topic, fixed, LookupErrors(frames, topics, node, time, tables))
     return lookup.at(ns) if ns else lookup.newest()
 
 

@@ -235,7 +235,7 @@ def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
 
 
 def read_transforms(
-    tree: FrameTree, recorded: TransformTopic | None, frames: tuple[str, str], centre: int
+    tree: FrameTree, topic: TransformTopic | None, frames: tuple[str, str], centre: int
 ) -> list[str] | None:
     """Add moving transforms to a tree until more cannot change its path between two frames.
 
@@ -243,16 +243,16 @@ def read_transforms(
     transforms do not connect the frames.
     """
     reach, window = FIRST_REACH_NS, (0, 0)
-    while recorded is not None and not _is_final(tree, frames, window):
+    while topic is not None and not _is_final(tree, frames, window):
         low, high = max(0, centre - reach), min(MAX_NS, centre + reach)
         if reach == FIRST_REACH_NS:
-            recorded.read(tree.nearest, low, high)
+            topic.read(tree.nearest, low, high)
         else:
-            (start, end), (first, last) = window, recorded.ends
+            (start, end), (first, last) = window, topic.ends
             if start <= first and last <= end:
                 break
-            recorded.read(tree.nearest, max(low, first), start - 1)
-            recorded.read(tree.nearest, end + 1, min(high, last))
+            topic.read(tree.nearest, max(low, first), start - 1)
+            topic.read(tree.nearest, end + 1, min(high, last))
         window = (low, high)
         reach *= 2
     return tree.path(*frames)

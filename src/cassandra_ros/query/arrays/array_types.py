@@ -94,26 +94,26 @@ def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
 
 def unite_columns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
     """Return name and type of all tables' columns, path by path."""
-    united: list[Typed] = []
+    columns: list[Typed] = []
     for groups in zip(*tables):
         names: dict[str, list[ArrayType]] = {}
         for name, kind in chain.from_iterable(groups):
             names.setdefault(name, []).append(kind)
-        united += [(name, unite_types(kinds)) for name, kinds in names.items()]
-    return united
+        columns += [(name, unite_types(kinds)) for name, kinds in names.items()]
+    return columns
 
 
 def unite_types(types: Sequence[ArrayType]) -> ArrayType:
     """Return a type that holds the values of all given types exactly."""
-    united = types[0]
+    common = types[0]
     for other in types[1:]:
-        if other.depth != united.depth:
+        if other.depth != common.depth:
             return ArrayType(MIXED)
-        if other.length != united.length:
-            united, other = replace(united, length=None), replace(other, length=None)
-        if other.kind != united.kind:
-            united = replace(united, kind=_wider(united.kind, other.kind))
-    return united
+        if other.length != common.length:
+            common, other = replace(common, length=None), replace(other, length=None)
+        if other.kind != common.kind:
+            common = replace(common, kind=_wider(common.kind, other.kind))
+    return common
 
 
 def _wider(kind: str, other: str) -> str:

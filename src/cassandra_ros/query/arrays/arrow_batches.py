@@ -90,10 +90,10 @@ class ArrowSchema:
             if wanted is None or name.lower() in wanted
         ]
         every = [self._of(fields) for fields in self.fields.values()]
-        united = list(unite_schemas(self.arrow, every)) if every else []
+        fields = list(unite_schemas(self.arrow, every)) if every else []
         self.own = [field.name for field in own_fields]
         self.empty = not any(self.fields.values())
-        self.schema = self.arrow.schema([*own_fields, *united])
+        self.schema = self.arrow.schema([*own_fields, *fields])
         self._row_columns: dict[str, RowColumns | None] = {}
         self._reads_few: dict[str, bool] = {}
         if names is not None:
@@ -191,19 +191,19 @@ class _BatchMaker:
         fields, count = self._schema.of_table(table), len(places.keys)
         if not fields or table.definition is None:
             return self._with_places(table, places, ())
-        made, unread = make_columns(self._arrow, table.definition, fields, groups, count)
+        arrays, unread = make_columns(self._arrow, table.definition, fields, groups, count)
         for n in unread.tolist():
             key, kind = places.keys[n], table.msg_type
             _log.warning("a message of type %s at %s cannot be read", kind, key)
-        return self._with_places(table, places, made)
+        return self._with_places(table, places, arrays)
 
     def _with_places(
-        self, table: Table, places: _Places, made: Sequence[pyarrow.Array]
+        self, table: Table, places: _Places, field_arrays: Sequence[pyarrow.Array]
     ) -> pyarrow.RecordBatch:
         """Return a batch of the arrays of fields, with the columns that are no fields."""
         arrow, schema, count = self._arrow, self._schema.schema, len(places.keys)
         fields = self._schema.of_table(table)
-        columns = {field.name.lower(): array for field, array in zip(fields, made)}
+        columns = {field.name.lower(): array for field, array in zip(fields, field_arrays)}
         heads = {name: self._own(name, places) for name in self._schema.own}
         arrays = []
         for n, field in enumerate(schema):
@@ -265,35 +265,35 @@ def _columns(schema: ArrowSchema, table: Table) -> Sequence[str] | None:
 def _of_blocks(
     maker: _BatchMaker, blocks: Iterator[MessageBlock], watch: Callable[[], None]
 ) -> Iterator[pyarrow.RecordBatch]:
-    taken: list[MessageBlock] = []
+    batch: list[MessageBlock] = []
     count = size = 0
     for block in blocks:
         watch()
-        if taken and block.table.name != taken[0].table.name:
-            yield maker.of_blocks(taken)
-            taken, count, size = [], 0, 0
-        taken.append(block)
+        if batch and block.table.name != batch[0].table.name:
+            yield maker.of_blocks(batch)
+            batch, count, size = [], 0, 0
+        batch.append(block)
         count += len(block.times)
         size += sum(planes.size for _, planes in block.groups)
         if count >= BATCH_ROWS or size >= BATCH_BYTES:
-            yield maker.of_blocks(taken)
-            taken, count, size = [], 0, 0
-    if taken:
-        yield maker.of_blocks(taken)
+            yield maker.of_blocks(batch)
+            batch, count, size = [], 0, 0
+    if batch:
+        yield maker.of_blocks(batch)
 
 
 def _of_rows(
     maker: _BatchMaker, rows: Iterator[Row], watch: Callable[[], None]
 ) -> Iterator[pyarrow.RecordBatch]:
-    taken: list[Row] = []
+    batch: list[Row] = []
     size = 0
     for row in rows:
         watch()
-        another = taken and row.table.name != taken[0].table.name
-        if another or len(taken) >= BATCH_ROWS or size >= BATCH_BYTES:
-            yield from maker.of_rows(taken)
-            taken, size = [], 0
-        taken.append(row)
+        another = batch and row.table.name != batch[0].table.name
+        if another or len(batch) >= BATCH_ROWS or size >= BATCH_BYTES:
+            yield from maker.of_rows(batch)
+            batch, size = [], 0
+        batch.append(row)
         size += row.size
-    if taken:
-        yield from maker.of_rows(taken)
+    if batch:
+        yield from maker.of_rows(batch)

@@ -77,16 +77,16 @@ def make_columns(
         count: Number of messages, those in no group included.
     """
     stacks = [_StackSlots(stack, stack.members[:, None]) for stack in _stacks(definition, groups)]
-    covered = np.zeros(count, bool)
+    readable = np.zeros(count, bool)
     for stack_slots in stacks:
-        covered[stack_slots.stack.members] = True
+        readable[stack_slots.stack.members] = True
     maker = _ArrayMaker(arrow)
-    if covered.all():
+    if readable.all():
         validity = None
     else:
-        validity = arrow.py_buffer(np.packbits(covered, bitorder="little"))
+        validity = arrow.py_buffer(np.packbits(readable, bitorder="little"))
     arrays = [maker.make(field, stacks, count, validity) for field in fields]
-    return MessageColumns(arrays, np.flatnonzero(~covered))
+    return MessageColumns(arrays, np.flatnonzero(~readable))
 
 
 def _stacks(definition: Definition, groups: SizeGroups) -> Iterator[Stack]:
@@ -287,8 +287,8 @@ def _array_values(stack: Stack, field: ArrowField) -> AnyArray:
 def _text_bytes(stack: Stack, path: str) -> AnyArray:
     """Return the bytes of all texts of a field: (messages, bytes)."""
     parts = [stack.planes[at : at + size] for at, size in stack.layout.texts.get(path, [])]
-    joined = np.concatenate([stack.planes[:0], *parts]) if len(parts) != 1 else parts[0]
-    return np.ascontiguousarray(joined.T)
+    data = np.concatenate([stack.planes[:0], *parts]) if len(parts) != 1 else parts[0]
+    return np.ascontiguousarray(data.T)
 
 
 def _is_utf8(data: AnyArray, offsets: Int64Array) -> bool:

@@ -125,8 +125,8 @@ class ColumnNames:
         names = self._names.setdefault(prefix, {})
         if field not in names:
             reserved = () if prefix else OWN_COLUMNS
-            taken = {name.lower() for name in (*reserved, *names.values())}
-            names[field] = _free_name(field, taken)
+            lower_names = {name.lower() for name in (*reserved, *names.values())}
+            names[field] = _free_name(field, lower_names)
         return names[field]
 
 
@@ -163,9 +163,9 @@ def count_leaves(fields: Iterable[ArrowField]) -> int:
     return sum(count_leaves(field.children) if field.children else 1 for field in fields)
 
 
-def _free_name(name: str, taken: set[str]) -> str:
+def _free_name(name: str, lower_names: set[str]) -> str:
     number, free = 0, name
-    while free.lower() in taken:
+    while free.lower() in lower_names:
         number += 1
         free = f"{name}_{number}"
     return free
@@ -204,9 +204,9 @@ def _unite(arrow: Any, one: pyarrow.DataType, other: pyarrow.DataType) -> pyarro
         return arrow.list_(_unite(arrow, one.value_type, other.value_type))
     if _is_number(types, one) and _is_number(types, other):
         kinds = [ArrayType(kind.to_pandas_dtype()().dtype.name) for kind in (one, other)]
-        united = unite_types(kinds).kind
-        if united != MIXED:
-            return getattr(arrow, united)()
+        common = unite_types(kinds).kind
+        if common != MIXED:
+            return getattr(arrow, common)()
     return arrow.string()
 
 
@@ -221,17 +221,17 @@ def adapt(arrow: Any, array: pyarrow.Array, kind: pyarrow.DataType) -> pyarrow.A
     """
     if array.type == kind:
         return array
-    types, given = arrow.types, array.type
-    if types.is_struct(given) and types.is_struct(kind):
+    types, array_type = arrow.types, array.type
+    if types.is_struct(array_type) and types.is_struct(kind):
         return _adapt_struct(arrow, array, kind)
-    if types.is_list(given) and types.is_list(kind):
+    if types.is_list(array_type) and types.is_list(kind):
         values = adapt(arrow, array.values, kind.value_type)
         buffers = array.buffers()[:2]
         return arrow.Array.from_buffers(
             kind, len(array), buffers, offset=array.offset, children=[values]
         )
     if types.is_string(kind):
-        plain = array.cast(arrow.int64()) if types.is_timestamp(given) else array
+        plain = array.cast(arrow.int64()) if types.is_timestamp(array_type) else array
         texts = [None if value is None else _as_json(value) for value in plain.to_pylist()]
         return arrow.array(texts, kind)
     return array.cast(kind)

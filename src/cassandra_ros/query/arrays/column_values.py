@@ -60,9 +60,9 @@ def compile_convert(
     direct = all(step.index is None for step in ref.steps) and column.name == ref.column
     if not direct or column.kind == "wire" or kind.depth > 1:
         return None
-    listed = column.is_list and not inside
+    is_list = column.is_list and not inside
     convert: Convert
-    if listed and ref.index is not None:
+    if is_list and ref.index is not None:
         return partial(_list_element, ref.index)
     if column.cql_type in _FIXED_LISTS:
         convert = partial(_elements, column, kind)
@@ -70,7 +70,7 @@ def compile_convert(
         convert = _one(ref, column, kind)
         if column.is_list:
             convert = partial(_split, convert)
-    if listed:
+    if is_list:
         convert = partial(_lists, kind, convert)
     return partial(_part, convert, ref.part) if ref.part else convert
 
@@ -115,10 +115,10 @@ def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> ColumnArray:
 def join_fixed(raws: Raws, dtype: AnyType) -> AnyArray:
     """Join the values of all rows; each must have the size of the type."""
     filler = bytes(dtype.itemsize)
-    joined = b"".join([filler if raw is None else raw for raw in raws])
-    if len(joined) != len(raws) * dtype.itemsize:
+    data = b"".join([filler if raw is None else raw for raw in raws])
+    if len(data) != len(raws) * dtype.itemsize:
         raise CorruptMessage("a column does not have the size of its type")
-    return np.frombuffer(joined, dtype)
+    return np.frombuffer(data, dtype)
 
 
 def _varints(raws: Raws) -> ColumnArray:
@@ -127,8 +127,8 @@ def _varints(raws: Raws) -> ColumnArray:
 
 def as_uint64(raws: Raws) -> AnyArray:
     """Return varints as uint64; 0 for a missing one."""
-    joined = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
-    return np.frombuffer(joined, ">u8").astype(np.uint64)
+    data = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
+    return np.frombuffer(data, ">u8").astype(np.uint64)
 
 
 def _texts(raws: Raws) -> ColumnArray:
@@ -167,8 +167,8 @@ def _cells(kind: str, raws: Raws) -> ColumnArray:
 
 
 def _arrays(kind: str, length: int, raws: Raws) -> ColumnArray:
-    joined = join_fixed(raws, np.dtype(f"V{length * _size_of(kind)}"))
-    return ColumnArray(numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws))
+    data = join_fixed(raws, np.dtype(f"V{length * _size_of(kind)}"))
+    return ColumnArray(numbers_of(kind, data.tobytes()).reshape(len(raws), length), _absent(raws))
 
 
 def _element(index: int, kind: str, raws: Raws) -> ColumnArray:
@@ -193,11 +193,11 @@ def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> ColumnArray:
     value = np.dtype(_FIXED_LISTS[column.cql_type])
     element = np.dtype([("size", ">i4"), ("value", value)])
     filler = value.itemsize.to_bytes(4, "big") + bytes(value.itemsize)
-    joined = b"".join([filler if raw is None else raw[4:] for raw in raws])
+    data = b"".join([filler if raw is None else raw[4:] for raw in raws])
     counts = count_elements(raws)
-    if len(joined) != int(counts.sum()) * element.itemsize:
+    if len(data) != int(counts.sum()) * element.itemsize:
         raise CorruptMessage(f"list column {column.name} is malformed")
-    numbers = np.frombuffer(joined, element)
+    numbers = np.frombuffer(data, element)
     if (numbers["size"] != value.itemsize).any():
         raise CorruptMessage(f"list column {column.name} has a malformed element")
     return ColumnArray(numbers["value"].astype(kind.dtype), np.repeat(_absent(raws), counts))

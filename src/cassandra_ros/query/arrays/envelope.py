@@ -124,13 +124,13 @@ class Envelope:
         places = self.grid.places(firsts)
         counts = np.ones(len(places), np.int64) if rows is None else rows
         inside = (places >= 0) & (places < self.grid.pixels)
-        chosen = None if inside.all() else np.flatnonzero(inside)
+        indices = None if inside.all() else np.flatnonzero(inside)
         if (places[1:] < places[:-1]).any():
             order = np.argsort(places, kind="stable")
-            chosen = order if chosen is None else order[inside[order]]
-        if chosen is not None:
-            places, firsts, lasts, counts = (a[chosen] for a in (places, firsts, lasts, counts))
-            low, high = low[:, chosen], high[:, chosen]
+            indices = order if indices is None else order[inside[order]]
+        if indices is not None:
+            places, firsts, lasts, counts = (a[indices] for a in (places, firsts, lasts, counts))
+            low, high = low[:, indices], high[:, indices]
         if not len(places):
             return
         starts = np.flatnonzero(np.diff(places, prepend=-1))
@@ -184,23 +184,23 @@ class Envelope:
 
     def points(self) -> Points:
         """Return the pixels that contain messages, in time order."""
-        held = np.flatnonzero(self._last >= 0)
-        first, last = self._first[held], self._last[held]
-        middles, rows = first + (last - first) // 2, self._rows[held]
-        broken = self._breaks(held, rows)
-        return Points(middles, self._low[:, held], self._high[:, held], rows, broken)
+        pixels = np.flatnonzero(self._last >= 0)
+        first, last = self._first[pixels], self._last[pixels]
+        middles, rows = first + (last - first) // 2, self._rows[pixels]
+        broken = self._breaks(pixels, rows)
+        return Points(middles, self._low[:, pixels], self._high[:, pixels], rows, broken)
 
-    def _breaks(self, held: AnyArray, rows: AnyArray) -> AnyArray:
+    def _breaks(self, pixels: AnyArray, rows: AnyArray) -> AnyArray:
         """Return the indices of the pixels after which a long pause follows.
 
         A pause is the time from the last message of a pixel to the first message of the next. It is
         short if messages are dense, however long the pixels are.
         """
-        pauses = self._first[held[1:]] - self._last[held[:-1]]
+        pauses = self._first[pixels[1:]] - self._last[pixels[:-1]]
         # If only bounds of a pixel are known, its first and last message may be anywhere in it.
         sure = (rows[1:] > 0) & (rows[:-1] > 0)
         usual = np.where(sure, np.median(pauses[sure]) if sure.any() else 0, self.grid.width)
-        long = (pauses > GAP_INTERVALS * usual) & (np.diff(held) > 1)
+        long = (pauses > GAP_INTERVALS * usual) & (np.diff(pixels) > 1)
         return np.flatnonzero(long) if len(pauses) > 1 else np.zeros(0, np.int64)
 
 

@@ -147,8 +147,8 @@ def _mask(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
     if not missing.any() or (values.dtype.kind == "O" and not many):
         return values
     mask = np.broadcast_to(missing[:, None], values.shape) if many else missing
-    masked: AnyArray = np.ma.MaskedArray(values, mask)  # type: ignore[no-untyped-call]
-    return masked
+    masked_array: AnyArray = np.ma.MaskedArray(values, mask)  # type: ignore[no-untyped-call]
+    return masked_array
 
 
 def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
@@ -166,9 +166,9 @@ def _statement(
         if not isinstance(field, str):
             raise InvalidQuery(str(field), 0, f"a field is text, not {type(field).__name__}")
     name = topic.name
-    shown = name if _PLAIN_TOPIC.fullmatch(name) else '"' + name.replace('"', '""') + '"'
+    topic_name = name if _PLAIN_TOPIC.fullmatch(name) else '"' + name.replace('"', '""') + '"'
     # On lines of their own: so no comment hides what follows, and errors show only the user's line.
-    text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
+    text = f"SELECT {', '.join(names)}\nFROM {topic_name}"  # noqa: S608 (read by our own grammar)
     select = parse_select(text if where is None else f"{text} WHERE (\n{where}\n)", params)
     if select.distinct:
         reason = "DISTINCT stands in a statement, not before fields; executeCQL answers it"

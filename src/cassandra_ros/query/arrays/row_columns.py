@@ -45,14 +45,14 @@ class RowColumns:
         arrow: Any,
         fields: Sequence[ArrowField],
         columns: Mapping[str, FieldColumn],
-        held: Sequence[str],
+        names: Sequence[str],
     ) -> None:
         self._arrow = arrow
         self._fields = fields
         self._columns = columns
-        self.names = [name for name in held if name in columns]
+        self.names = [name for name in names if name in columns]
         self._places = {name: n for n, name in enumerate(self.names)}
-        self._whole = len(held), [list(held).index(name) for name in self.names]
+        self._whole = len(names), [list(names).index(name) for name in self.names]
 
     @classmethod
     def of(cls, arrow: Any, table: Table, fields: Sequence[ArrowField]) -> RowColumns | None:
@@ -66,9 +66,9 @@ class RowColumns:
             if column is None or column.is_list or column.kind == "wire":
                 return None
             columns[column.name] = column
-        held = table.columns
-        few = len(columns) <= LARGEST_SHARE * len(held)
-        return cls(arrow, fields, columns, held) if few and columns.keys() <= set(held) else None
+        names = table.columns
+        few = len(columns) <= LARGEST_SHARE * len(names)
+        return cls(arrow, fields, columns, names) if few and columns.keys() <= set(names) else None
 
     def take(self, row: Row) -> Raws | None:
         """Return the columns of a row; None = the message is needed."""

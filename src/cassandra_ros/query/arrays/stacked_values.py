@@ -80,13 +80,13 @@ def _join(parts: Sequence[Planes], count: int) -> ByteArray:
     arrays = [planes for planes in parts if isinstance(planes, np.ndarray)]
     if len(arrays) == len(parts):
         return np.concatenate(arrays, axis=1)  # messages that are adjacent in memory stay so
-    joined = np.empty((len(parts[0]), count), np.uint8)
+    all_planes = np.empty((len(parts[0]), count), np.uint8)
     at = 0
     for planes in parts:
         after = at + planes.shape[1]
-        copy_planes(planes, joined[:, at:after])
+        copy_planes(planes, all_planes[:, at:after])
         at = after
-    return joined
+    return all_planes
 
 
 class StackedField(NamedTuple):

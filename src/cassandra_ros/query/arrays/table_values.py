@@ -176,11 +176,11 @@ class TableValues:
         if not self._table.by_field:
             return None
         if width not in self._places:
-            held = list(self._table.columns)
-            if width != len(held):
-                held = [name for name in held if name in self._names]
-            fits = width == len(held) and all(name in held for name in self._names)
-            self._places[width] = [held.index(name) for name in self._names] if fits else None
+            row_names = list(self._table.columns)
+            if width != len(row_names):
+                row_names = [name for name in row_names if name in self._names]
+            fits = width == len(row_names) and all(name in row_names for name in self._names)
+            self._places[width] = [row_names.index(name) for name in self._names] if fits else None
         return self._places[width]
 
     def _clear(self) -> None:
@@ -237,8 +237,8 @@ class TableValues:
             if isinstance(exc, CassandraRosError):
                 raise
             raise CorruptMessage(f"a column of a row is malformed: {exc}") from exc
-        for gathered, chunk in zip(self._chunks, chunks):
-            gathered.append(chunk)
+        for parts, chunk in zip(self._chunks, chunks):
+            parts.append(chunk)
         self._clear()
 
     def _all_at_once(self) -> list[ColumnArray]:
@@ -292,13 +292,13 @@ class TableValues:
 
     def _column_by_column(self) -> list[ColumnArray]:
         columns = list(zip(*self._raws))
-        counts = kept = None
+        counts = hits_mask = None
         if self._tester is not None:
             counts = np.array([len(hits) for hits in self._hits])
-            kept = np.array([hit for hits in self._hits for hit in hits], bool)
+            hits_mask = np.array([hit for hits in self._hits for hit in hits], bool)
         else:
-            listed = next((o.place for o in self._origins if o is not None and o.inside), None)
-            counts = None if listed is None else count_elements(columns[listed])
+            place = next((o.place for o in self._origins if o is not None and o.inside), None)
+            counts = None if place is None else count_elements(columns[place])
         chunks = []
         for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
             if origin is None:
@@ -306,8 +306,8 @@ class TableValues:
             else:
                 chunk = origin.convert(columns[origin.place])
                 repeats = None if origin.inside else counts
-            chunks.append(ColumnArray(*(_choose(values, repeats, kept) for values in chunk)))
-        self._orders.append(_choose(_order(self._numbers), counts, kept))
+            chunks.append(ColumnArray(*(_choose(values, repeats, hits_mask) for values in chunk)))
+        self._orders.append(_choose(_order(self._numbers), counts, hits_mask))
         return chunks
 
     def _own_values(self, place: int, kind: ArrayType) -> ColumnArray:
@@ -352,8 +352,8 @@ def _order(numbers: Sequence[int]) -> AnyArray:
     return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
 
 
-def _choose(values: AnyArray, counts: AnyArray | None, kept: AnyArray | None) -> AnyArray:
+def _choose(values: AnyArray, counts: AnyArray | None, mask: AnyArray | None) -> AnyArray:
     """Repeat the values of a message for each of its elements, and keep those that match."""
     if counts is not None:
         values = np.repeat(values, counts, axis=0)
-    return values if kept is None else values[kept]
+    return values if mask is None else values[mask]

@@ -172,15 +172,15 @@ def _elements(
     get = _getter(ref)
     if ref.type == "string" or get is None:
         return None
-    wanted = list(fitting(Compare(array, operator, value), ref))
-    if not wanted:
+    numbers = list(fitting(Compare(array, operator, value), ref))
+    if not numbers:
         return _never
     refs.append(ref)
     dtype = np.dtype(np.int64) if ref.type in _NS else DTYPES[ref.type]
     if operator == "=":
-        compare = _one_of(dtype, wanted)
+        compare = _one_of(dtype, numbers)
     else:
-        compare = _comparison(dtype, operator, wanted[0])
+        compare = _comparison(dtype, operator, numbers[0])
     read = get
     return lambda stack: join(compare(read(stack)), axis=0)
 
@@ -205,17 +205,17 @@ def _place(ref: FieldRef) -> slice | None:
 def _getter(ref: FieldRef) -> _Get | None:
     """Return the function that reads a number: (offsets, messages)."""
     base = _WHOLE[ref.type] if ref.part else ref.type
-    path, chosen = ref.column, _place(ref)
+    path, part_slice = ref.column, _place(ref)
     many = any(step.many for step in ref.steps)
     index = ref.index
-    if chosen is None or (many and (ref.is_array or index is not None)):
+    if part_slice is None or (many and (ref.is_array or index is not None)):
         return None
     if ref.is_array:
         return lambda stack: stack.array(path, base)
     if index is not None:
         at = index
         return _part(ref.part, lambda stack: stack.element(path, at, base))
-    return _part(ref.part, lambda stack: stack.numbers(path, base, chosen))
+    return _part(ref.part, lambda stack: stack.numbers(path, base, part_slice))
 
 
 def _part(time_part: str, get: _Get) -> _Get:
@@ -229,24 +229,24 @@ def _part(time_part: str, get: _Get) -> _Get:
 
 def _text_test(ref: FieldRef, operator: str, values: Sequence[str]) -> _Test | None:
     """Compile a test for equal texts; None for values that bytes cannot be compared with."""
-    chosen, path = _place(ref), ref.column
+    place, path = _place(ref), ref.column
     many = any(step.many for step in ref.steps)
     if ref.index is not None:
-        chosen = None if many else slice(ref.index, ref.index + 1)
-    elif ref.is_array and many and chosen != slice(None):
-        chosen = None  # earlier elements may hold any number of texts
-    if operator not in ("=", "CONTAINS") or chosen is None:
+        place = None if many else slice(ref.index, ref.index + 1)
+    elif ref.is_array and many and place != slice(None):
+        place = None  # earlier elements may hold any number of texts
+    if operator not in ("=", "CONTAINS") or place is None:
         return None
     if any("\N{REPLACEMENT CHARACTER}" in value for value in values):
         return None
     # Texts that were read contain no surrogates.
-    wanted = {v.encode("utf-8") for v in values if v.isascii() or _is_utf8(v)}
-    where: slice = chosen
+    raws = {v.encode("utf-8") for v in values if v.isascii() or _is_utf8(v)}
+    where: slice = place
 
     def test(stack: Stack) -> Mask:
         mask = _never(stack)
         for at, size in stack.layout.texts.get(path, [])[where]:
-            for raw in wanted:
+            for raw in raws:
                 if len(raw) == size:
                     same = stack.planes[at : at + size] == np.frombuffer(raw, np.uint8)[:, None]
                     mask |= same.all(axis=0)

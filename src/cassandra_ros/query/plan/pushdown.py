@@ -88,80 +88,80 @@ class ServerColumn:
     of texts are not checked."""
 
 
-def ways_of(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
+def ways_of(column: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
     """Return the terms for a comparison of a column (= < <= > >= CONTAINS) with values.
 
     ``=`` and ``CONTAINS`` may have several values, one of which must match.
     """
-    if operator == "=" or (operator == "CONTAINS" and held.many):
-        return _equal(held, "CONTAINS" if held.many else "=", values)
-    if held.many or operator not in ("<", "<=", ">", ">="):
+    if operator == "=" or (operator == "CONTAINS" and column.many):
+        return _equal(column, "CONTAINS" if column.many else "=", values)
+    if column.many or operator not in ("<", "<=", ">", ">="):
         return None
-    return _bound_ways(held, operator, values[0])
+    return _bound_ways(column, operator, values[0])
 
 
-def span_of(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
+def span_of(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
     """Return the terms for a number between the minimum and maximum of some values."""
     numbers = [v for v in values if not isinstance(v, str) and v == v]
-    if held.many or not numbers or len(numbers) < len(values):
+    if column.many or not numbers or len(numbers) < len(values):
         return None
-    ways = [_bound_ways(held, ">=", min(numbers)), _bound_ways(held, "<=", max(numbers))]
+    ways = [_bound_ways(column, ">=", min(numbers)), _bound_ways(column, "<=", max(numbers))]
     if NEVER in ways:
         return NEVER
     terms = tuple(term for way in ways for term in (way[0] if way else ()))
     return (terms,) if terms else None
 
 
-def _equal(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
+def _equal(column: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
     ways: dict[tuple[ServerTerm, ...], None] = {}
     for value in values:
-        raws = _exact(held, value)
+        raws = _exact(column, value)
         if raws is None:
             return None
-        if len(raws) == 2 and not held.many:  # one query for −0.0 and 0.0
-            ways[(held.column, ">=", raws[0]), (held.column, "<=", raws[1])] = None
+        if len(raws) == 2 and not column.many:  # one query for −0.0 and 0.0
+            ways[(column.column, ">=", raws[0]), (column.column, "<=", raws[1])] = None
         else:
-            ways.update(dict.fromkeys(((held.column, operator, raw),) for raw in raws))
+            ways.update(dict.fromkeys(((column.column, operator, raw),) for raw in raws))
     return tuple(ways)
 
 
-def _exact(held: ServerColumn, value: Comparable) -> list[bytes] | None:
+def _exact(column: ServerColumn, value: Comparable) -> list[bytes] | None:
     """Encode all values that equal one; None if the column may lack such a value."""
-    if isinstance(value, str) != (held.cql_type == "text") or value != value:
+    if isinstance(value, str) != (column.cql_type == "text") or value != value:
         return []
     if isinstance(value, str):
         try:
             raw = encode_value("text", value)
         except UnicodeEncodeError:
             return None
-        return [raw] if len(raw) <= held.longest else None
-    if held.cql_type in _FLOATS:
-        below, above = (_float(held.cql_type, value, upwards) for upwards in (True, False))
+        return [raw] if len(raw) <= column.longest else None
+    if column.cql_type in _FLOATS:
+        below, above = (_float(column.cql_type, value, upwards) for upwards in (True, False))
         if below == above:
             return [below]
         return [below, above] if value == 0 else []
-    low, high = _RANGES[held.cql_type]
+    low, high = _RANGES[column.cql_type]
     if not low <= value <= high or value != int(value):
         return []
-    return [encode_value(held.cql_type, int(value))]
+    return [encode_value(column.cql_type, int(value))]
 
 
-def _bound_ways(held: ServerColumn, operator: str, value: Comparable) -> Ways:
-    if isinstance(value, str) or held.cql_type in ("text", "boolean"):
+def _bound_ways(column: ServerColumn, operator: str, value: Comparable) -> Ways:
+    if isinstance(value, str) or column.cql_type in ("text", "boolean"):
         return None
     if value != value:
         return NEVER
     upwards = operator in (">", ">=")
-    if held.cql_type in _FLOATS:
-        raw = _float(held.cql_type, value, upwards)
-        return (((held.column, operator[0] + "=", raw),),)
-    low, high = _RANGES[held.cql_type]
+    if column.cql_type in _FLOATS:
+        raw = _float(column.cql_type, value, upwards)
+        return (((column.column, operator[0] + "=", raw),),)
+    low, high = _RANGES[column.cql_type]
     if (value > high or (value == high and operator == ">")) if upwards else value < low:
         return NEVER
     if value <= low if upwards else value >= high:
         return None
     bound = math.ceil(value) if upwards else math.floor(value)
-    return (((held.column, operator[0] + "=", encode_value(held.cql_type, bound)),),)
+    return (((column.column, operator[0] + "=", encode_value(column.cql_type, bound)),),)
 
 
 def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
@@ -180,53 +180,53 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
     return encode_value(cql_type, number if number else (-0.0 if upwards else 0.0))
 
 
-def zone_ways(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
+def zone_ways(column: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
     """Return the terms on the zone columns for a block that may match a comparison.
 
     The zone columns hold the minimum and the maximum of the block.
     """
     if operator == "=":
-        ways = [_zone_around(held, value, value) for value in values]
+        ways = [_zone_around(column, value, value) for value in values]
         if None in ways:
             return None
         return tuple(dict.fromkeys(way[0] for way in ways if way))
     if operator not in ("<", "<=", ">", ">="):
         return None
-    return _zone_bound_ways(held, operator, values[0])
+    return _zone_bound_ways(column, operator, values[0])
 
 
-def zone_span(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
+def zone_span(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
     """Return the terms on the zone columns for values between the minimum and maximum of some."""
-    fitting = [v for v in values if isinstance(v, str) == (held.cql_type == "text") and v == v]
-    return _zone_around(held, min(fitting), max(fitting)) if fitting else NEVER
+    fitting = [v for v in values if isinstance(v, str) == (column.cql_type == "text") and v == v]
+    return _zone_around(column, min(fitting), max(fitting)) if fitting else NEVER
 
 
-def _zone_around(held: ServerColumn, low: Comparable, high: Comparable) -> Ways:
-    if low == high and held.cql_type != "text" and _exact(held, low) == []:
+def _zone_around(column: ServerColumn, low: Comparable, high: Comparable) -> Ways:
+    if low == high and column.cql_type != "text" and _exact(column, low) == []:
         return NEVER
-    ways = [_zone_bound_ways(held, ">=", low), _zone_bound_ways(held, "<=", high)]
+    ways = [_zone_bound_ways(column, ">=", low), _zone_bound_ways(column, "<=", high)]
     if NEVER in ways:
         return NEVER
     terms = tuple(term for way in ways for term in (way[0] if way else ()))
     return (terms,) if terms else None
 
 
-def _zone_bound_ways(held: ServerColumn, operator: str, value: Comparable) -> Ways:
+def _zone_bound_ways(column: ServerColumn, operator: str, value: Comparable) -> Ways:
     upwards = operator in (">", ">=")
-    end = replace(held, column=(HIGH if upwards else LOW) + held.column)
-    if isinstance(value, str) != (held.cql_type == "text"):
+    end = replace(column, column=(HIGH if upwards else LOW) + column.column)
+    if isinstance(value, str) != (column.cql_type == "text"):
         return NEVER
     if isinstance(value, str):
         return _zone_text(end, operator, value)
-    if held.cql_type != "boolean":
+    if column.cql_type != "boolean":
         return _bound_ways(end, operator, value)
     # A block has a value above false, or below true, only if that bound is the other value.
-    wanted = 1 if upwards else 0
+    byte = 1 if upwards else 0
     if not (_COMPARE[operator](1, value) or _COMPARE[operator](0, value)):
         return NEVER
-    if _COMPARE[operator](1 - wanted, value):
+    if _COMPARE[operator](1 - byte, value):
         return None
-    return (((end.column, "=", encode_value("boolean", wanted)),),)
+    return (((end.column, "=", encode_value("boolean", byte)),),)
 
 
 def _zone_text(end: ServerColumn, operator: str, value: str) -> Ways:
@@ -359,18 +359,18 @@ class Pushdown:
     def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Sequence[Query] | None:
         """Return the queries whose rows include all matching rows; None = read all rows."""
         self._watch()
-        chosen = self._choose_queries(table, bucket)
+        queries = self._choose_queries(table, bucket)
         if table.packed:
             self.held += sum(row.rows for row in bucket)
-        if chosen is None:
+        if queries is None:
             self.whole += 1
-        elif any(indexed for _, indexed in chosen):
+        elif any(indexed for _, indexed in queries):
             self.indexed += 1
-        elif chosen:
+        elif queries:
             self.filtered += 1
         else:
             self.skipped += 1
-        return chosen
+        return queries
 
     def few(self, table: Table) -> bool:
         """Return whether only few rows were found so far."""
@@ -422,21 +422,21 @@ class Pushdown:
         if self._plan == "filter" or (dense and table.by_field):
             filled = frozenset()
         queries: list[Query] = []
-        used: Used = {}
+        new_uses: Used = {}
         for branch in branches:
-            extra = self._queries(branch, filled, used, "zones" if table.packed else "filter")
+            extra = self._queries(branch, filled, new_uses, "zones" if table.packed else "filter")
             if extra is None or len(queries) + len(extra) > MAX_QUERIES:
                 return None
             queries.extend(extra)
         if self._plan == "auto" and len(queries) > 1 and table in self._crowded:
             return None
-        self.used.update(used)
+        self.used.update(new_uses)
         if any(row.odd or not row.closed for row in bucket):
             queries.append(_ODD)
         return queries
 
     def _queries(
-        self, branch: Branch, filled: frozenset[str], used: Used, way_without: str
+        self, branch: Branch, filled: frozenset[str], uses: Used, way_without: str
     ) -> list[Query] | None:
         """Return the queries of one branch; None if the server cannot check any part of it."""
         if any(NEVER in (check.filtered, check.indexed) for check in branch):
@@ -445,15 +445,13 @@ class Pushdown:
         # An index with an equality finds fewer rows than one with a range.
         shadow = min(usable, key=_is_range).shadow if usable else ""
         ways, count = [], 1
-        chosen = [
-            (bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch
-        ]
-        for by_index, check in sorted(chosen, key=lambda pair: not pair[0]):
+        order = [(bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch]
+        for by_index, check in sorted(order, key=lambda pair: not pair[0]):
             way = check.indexed if by_index else check.filtered
             if way is not None and count * len(way) <= MAX_QUERIES:
                 count *= len(way)
                 ways.append(way)
-                used[id(check.leaf), "index" if by_index else way_without] = check.leaf
+                uses[id(check.leaf), "index" if by_index else way_without] = check.leaf
         if not ways:
             return None
         return [(_compatible(sum(terms, ())), bool(shadow)) for terms in product(*ways)]
@@ -466,14 +464,14 @@ def _is_range(check: ServerCheck) -> bool:
 def _compatible(terms: Sequence[ServerTerm]) -> tuple[ServerTerm, ...]:
     """Remove terms that the server refuses in combination: second bounds, bounds with =."""
     equal = {column for column, operator, _ in terms if operator == "="}
-    kept: dict[tuple[object, ...], ServerTerm] = {}
+    by_bound: dict[tuple[object, ...], ServerTerm] = {}
     for term in terms:
         column, operator, value = term
         if operator == "CONTAINS":
-            kept.setdefault((column, operator, value), term)
+            by_bound.setdefault((column, operator, value), term)
         elif operator == "=" or column not in equal:
-            kept.setdefault((column, operator), term)
-    return tuple(kept.values())
+            by_bound.setdefault((column, operator), term)
+    return tuple(by_bound.values())
 
 
 def _branches(expression: Expression, table: Table) -> list[Branch] | None:
@@ -494,11 +492,11 @@ def _join_branches(branch_lists: Sequence[list[Branch] | None]) -> list[Branch] 
     factors = sorted((branches for branches in branch_lists if branches is not None), key=len)
     if not factors:
         return None
-    joined: list[Branch] = [()]
+    combinations: list[Branch] = [()]
     for branches in factors:
-        if len(joined) * len(branches) <= MAX_QUERIES:
-            joined = [one + other for one in joined for other in branches]
-    return joined
+        if len(combinations) * len(branches) <= MAX_QUERIES:
+            combinations = [one + other for one in combinations for other in branches]
+    return combinations
 
 
 def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
@@ -522,25 +520,25 @@ def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
     index = table.index_fields.get(ref.column)
     if index is None:
         return ServerCheck(leaf, filtered)
-    carried = ServerColumn(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
-    return ServerCheck(leaf, filtered, index.shadow, _ways(carried, operator, values, MAX_QUERIES))
+    shadow = ServerColumn(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
+    return ServerCheck(leaf, filtered, index.shadow, _ways(shadow, operator, values, MAX_QUERIES))
 
 
 def _ways(
-    held: ServerColumn | None, operator: str, values: Sequence[Comparable], most: int
+    column: ServerColumn | None, operator: str, values: Sequence[Comparable], most: int
 ) -> Ways:
-    if held is None:
+    if column is None:
         return None
-    ways = ways_of(held, operator, values)
-    return ways if ways is None or len(ways) <= most else span_of(held, values)
+    ways = ways_of(column, operator, values)
+    return ways if ways is None or len(ways) <= most else span_of(column, values)
 
 
 def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comparable]) -> Ways:
-    held = None if table.definition is None else _zone_columns(table.definition).get(ref.column)
-    if held is None:
+    column = None if table.definition is None else _zone_columns(table.definition).get(ref.column)
+    if column is None:
         return None
-    ways = zone_ways(held, operator, values)
-    return ways if ways is None or len(ways) <= FEW_VALUES else zone_span(held, values)
+    ways = zone_ways(column, operator, values)
+    return ways if ways is None or len(ways) <= FEW_VALUES else zone_span(column, values)
 
 
 def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:

@@ -137,12 +137,12 @@ def compile_condition(expression: Expression | None, fields: NameResolver) -> Ch
 def _leaf(leaf: Compare | OneOf | IsNull, place: int | None, fields: NameResolver) -> Check:
     if isinstance(leaf, IsNull):
         return (lambda values: True) if place is None else (lambda values: values[place] is None)
-    listed = [fields.fit(leaf, value) for value in given(leaf)]
+    constants = [fields.fit(leaf, value) for value in given(leaf)]
     if place is None:
         return lambda values: None
     if isinstance(leaf, Compare):
-        return _comparison(place, leaf.operator, listed[0])
-    return _membership(place, listed)
+        return _comparison(place, leaf.operator, constants[0])
+    return _membership(place, constants)
 
 
 def _stay_check(leaf: Timed, node: int, run: int, time: int) -> Check:
@@ -181,10 +181,10 @@ def _quantifier_check(leaf: Quantified, place: int | None, gets: Sequence[Get | 
             return None
         test = fixed
         if test is None:
-            wanted = [get(values) for get in operands]
-            if any(value is None for value in wanted):
+            terms = [get(values) for get in operands]
+            if any(value is None for value in terms):
                 return None
-            test = _element_test(leaf, list(map(_test, signs, wanted)))
+            test = _element_test(leaf, list(map(_test, signs, terms)))
         return quantify(map(test, array))
 
     return check
@@ -199,22 +199,22 @@ def _element_test(
     return lambda element: join([test(element) for test in tests]) is not negated
 
 
-def _test(sign: str, wanted: Any) -> Callable[[Any], bool]:
-    return like_test(wanted) if sign == "LIKE" else partial(_SWAPPED[sign], wanted)
+def _test(sign: str, value: Any) -> Callable[[Any], bool]:
+    return like_test(value) if sign == "LIKE" else partial(_SWAPPED[sign], value)
 
 
-def _comparison(place: int, sign: str, wanted: Comparable | None) -> Check:
-    if wanted is None:
+def _comparison(place: int, sign: str, value: Comparable | None) -> Check:
+    if value is None:
         return lambda values: None
-    return _value_check(place, _holding(wanted) if sign == "CONTAINS" else _test(sign, wanted))
+    return _value_check(place, _holding(value) if sign == "CONTAINS" else _test(sign, value))
 
 
-def _membership(place: int, listed: Sequence[Comparable | None]) -> Check:
+def _membership(place: int, constants: Sequence[Comparable | None]) -> Check:
     """Return the check of IN: like ``=`` with each value, joined by OR."""
     # NaN is left out: it equals nothing, but a set would find it by identity.
-    members = frozenset(value for value in listed if value is not None and value == value)
+    members = frozenset(value for value in constants if value is not None and value == value)
     otherwise = (
-        None if None in listed else False
+        None if None in constants else False
     )  # a value of another kind makes the result unknown
 
     def check(values: RowValues) -> bool | None:
@@ -261,16 +261,16 @@ def _piece(text: str) -> Pattern[str]:
     return re.compile("".join("." if c == "_" else re.escape(c) for c in text), re.DOTALL)
 
 
-def _holding(wanted: Comparable) -> Callable[[Any], bool]:
-    if wanted != wanted:
+def _holding(value: Comparable) -> Callable[[Any], bool]:
+    if value != value:
         return lambda array: False
     # ``in`` accepts only ints from 0 to 255 for bytes.
-    byte = isinstance(wanted, (int, float)) and 0 <= wanted <= 255 and wanted == int(wanted)
+    byte = isinstance(value, (int, float)) and 0 <= value <= 255 and value == int(value)
 
     def test(array: Any) -> bool:
         if isinstance(array, (bytes, bytearray)):
-            return byte and int(wanted) in array
-        return wanted in array
+            return byte and int(value) in array
+        return value in array
 
     return test
 
@@ -410,8 +410,8 @@ class NameResolver:
     def _output(self, term: Term, array: bool | None = False) -> Output | None:
         """Return the column of one term; None if the table lacks it."""
         if isinstance(term, (Literal, Call)):
-            made = self._compute(term)
-            return None if made is None else Output(term.text, -1, made.kind, compute=made.get)
+            calc = self._compute(term)
+            return None if calc is None else Output(term.text, -1, calc.kind, compute=calc.get)
         if isinstance(term, Path):
             refs = self._resolve(term, lambda definition: [field_of(term, definition, array)])
             return self._outputs_of(refs)[0] if refs else None
@@ -424,19 +424,19 @@ class NameResolver:
 
     def _compute(self, term: Term) -> Computed | None:
         """Compile a term; None if the table lacks it."""
-        made = None
+        calc = None
         try:
-            made = compile_term(term, self._find)
+            calc = compile_term(term, self._find)
         except StatementError as exc:
             self._findings.wrong.setdefault(exc.position, exc)
-        if made is not None:
+        if calc is not None:
             self._findings.fine.update(inner.position for inner in inside(term))
         elif isinstance(term, Call):
             # The valid parts of a term are no errors if another definition lacks them.
             for argument in term.arguments:
                 if isinstance(argument, Call):
                     self._compute(argument)
-        return made
+        return calc
 
     def _find(self, operand: Operand, array: bool | None) -> OperandPlace | None:
         if array is None and isinstance(operand, Path):
@@ -493,16 +493,16 @@ class NameResolver:
         """Return the functions of a comparison's terms, except of an array; None: missing."""
         if isinstance(leaf, Quantified):
             return self._tests(leaf)
-        made = self._compute(leaf.operand)
+        first = self._compute(leaf.operand)
         if not isinstance(leaf, Relate):
-            return [None if made is None else made.get]
+            return [None if first is None else first.get]
         other = self._compute(leaf.other)
-        if made is None or other is None:
-            self._hint_at_quotes(leaf, made)
+        if first is None or other is None:
+            self._hint_at_quotes(leaf, first)
             return [None, None]
-        if not self._are_alike(leaf.operand, made.kind, leaf.other, other.kind, leaf.position):
+        if not self._are_alike(leaf.operand, first.kind, leaf.other, other.kind, leaf.position):
             return [None, None]
-        return [made.get, other.get]
+        return [first.get, other.get]
 
     def _tests(self, leaf: Quantified) -> Sequence[Get | None]:
         array = self._output(leaf.operand, array=True)
@@ -512,17 +512,17 @@ class NameResolver:
         self, leaf: Quantified, array: Output | None, sign: str, term: Term
     ) -> Get | None:
         # The term is resolved even if the array is missing: naming its fields may unnest arrays.
-        made = None if isinstance(term, Literal) else self._compute(term)
+        calc = None if isinstance(term, Literal) else self._compute(term)
         if array is None:
             return None
         if isinstance(term, Literal):
             value = self._fit_literal(Compare(leaf.operand, sign, term), array, term)
             return None if value is None else lambda values: value
-        if made is None or not self._are_alike(
-            leaf.operand, array.kind, term, made.kind, leaf.position
+        if calc is None or not self._are_alike(
+            leaf.operand, array.kind, term, calc.kind, leaf.position
         ):
             return None
-        return made.get
+        return calc.get
 
     def _are_alike(self, left: Term, kind: str, right: Term, other: str, position: int) -> bool:
         """Return whether values of two kinds can be compared; record an error if not."""
@@ -554,12 +554,12 @@ class NameResolver:
 
     def _fit_literal(self, leaf: Comparison, column: Output, literal: Literal) -> Comparable | None:
         try:
-            fitted = _fit(column, leaf, literal)
+            value = _fit(column, leaf, literal)
         except StatementError as exc:
             self._findings.wrong.setdefault(literal.position, exc)
             return None
         self._findings.fine.add(literal.position)
-        return fitted
+        return value
 
     def _resolve(
         self, path: Path, resolve: Callable[[Definition], Sequence[FieldRef]]

@@ -84,12 +84,12 @@ class Extractor:
         self._plan = wire_plan(definition)
         self._depth = len(unnested)
         column_names = {column.name for column in self._plan.all_columns}
-        held = [_held_steps(ref, column_names) for ref in refs]
-        names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, held) if n]
-        self._given = [n > 0 for n in held]
+        step_counts = [_held_steps(ref, column_names) for ref in refs]
+        names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, step_counts) if n]
+        self._given = [n > 0 for n in step_counts]
         gets = [
             _gets(ref, n, unnested) if n else _empty_gets(definition, ref, unnested)
-            for ref, n in zip(refs, held)
+            for ref, n in zip(refs, step_counts)
         ]
         levels = range(self._depth + 1)
         self._steps = [
@@ -152,15 +152,15 @@ class Extractor:
         CorruptMessage: malformed row.
         """
         columns = iter(self._columns(row))
-        return self._unnest(0, [next(columns) if given else [] for given in self._given])
+        return self._unnest(0, [next(columns) if has_column else [] for has_column in self._given])
 
     def _columns(self, row: Row) -> FieldValueList:
         """Return the values of the columns, from the row's columns if they are set."""
-        held = row.columns
-        if self.columns is not None and held and row.table.by_field:
+        columns = row.columns
+        if self.columns is not None and columns and row.table.by_field:
             # Also in a row marked odd, a column that cannot hold its field exactly is unset.
-            places = self._projected if len(held) == len(self.columns) else self._stored
-            raw = [held[n] for n in places]
+            places = self._projected if len(columns) == len(self.columns) else self._stored
+            raw = [columns[n] for n in places]
             if None not in raw:
                 return [self._plan.value(n, r) for n, r in zip(self._stored, raw) if r is not None]
         return self._read(row.wire)
@@ -210,10 +210,10 @@ def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]
     return [_itself]
 
 
-def _gets(ref: FieldRef, held: int, unnested: Sequence[Array]) -> list[Get]:
+def _gets(ref: FieldRef, step_count: int, unnested: Sequence[Array]) -> list[Get]:
     """Return the functions from a column's value to the field's, one per level of unnesting.
 
-    The first ``held`` steps lead to the column; the other steps lead into a blob.
+    The first ``step_count`` steps lead to the column; the other steps lead into a blob.
     """
     gets: list[Get] = []
     get = _last(ref)
@@ -223,7 +223,7 @@ def _gets(ref: FieldRef, held: int, unnested: Sequence[Array]) -> list[Get]:
             get = _itself
         elif step.many:
             get = _each(get) if step.index is None else _at(step.index, get)
-        if n >= held:
+        if n >= step_count:
             get = _inside(step.name, get)
     return [get, *reversed(gets)]
 
@@ -336,20 +336,20 @@ class Projection:
             extractor = extractor_of(table.definition, tuple(names.refs), tuple(names.unnested))
             columns = extractor.columns if table.by_field else None
         unnested, width = tuple(names.unnested), OWN_WIDTH + len(names.refs)
-        placed, computed = _place_computed(groups, width)
-        made = cls(placed, check, columns, unnested, table.named, extractor, width, names.runs)
-        made = replace(made, computed=computed)
+        outputs, computed = _place_computed(groups, width)
+        reader = cls(outputs, check, columns, unnested, table.named, extractor, width, names.runs)
+        reader = replace(reader, computed=computed)
         if table.by_field:
-            made = replace(made, checked=frozenset(checked), stored=len(table.columns))
-        return made.showing([[output.name for output in group] for group in groups])
+            reader = replace(reader, checked=frozenset(checked), stored=len(table.columns))
+        return reader.showing([[output.name for output in group] for group in groups])
 
     def showing(self, names: Sequence[Sequence[str]]) -> Projection:
         """Return a projection with these columns for each selected path, None for missing ones."""
-        shown: list[tuple[int | None, Get | None]] = []
-        for group, wanted in zip(self.groups, names):
+        places: list[tuple[int | None, Get | None]] = []
+        for group, group_names in zip(self.groups, names):
             by_name = {output.name: (output.place, _show_of(output)) for output in group}
-            shown += [by_name.get(name, (None, None)) for name in wanted]
-        return replace(self, shown=tuple(shown))
+            places += [by_name.get(name, (None, None)) for name in group_names]
+        return replace(self, shown=tuple(places))
 
     @cached_property
     def compiled(self) -> _CompiledRows | None:
@@ -430,7 +430,7 @@ class Projection:
     def _row(self, row: Row, values: RowValues) -> ResultRow:
         values = self.complete(values)
         cells: list[object] = []
-        made: dict[int, object] = {}
+        cache: dict[int, object] = {}
         for place, show in self.shown:
             if place is None:
                 cells.append(None)
@@ -440,9 +440,9 @@ class Projection:
                 cells.append(values[place])
             else:
                 # A column that is selected twice is computed once.
-                if place not in made:
-                    made[place] = show(values[place])
-                cells.append(made[place])
+                if place not in cache:
+                    cache[place] = show(values[place])
+                cells.append(cache[place])
         return tuple(cells)
 
 
@@ -459,11 +459,11 @@ class Projections:
     def __init__(self, select: Select, tables: Sequence[Table]) -> None:
         self._select = select
         findings = Findings(select.text)
-        made = {table: Projection.compile(select, table, findings) for table in tables}
+        projections = {table: Projection.compile(select, table, findings) for table in tables}
         findings.check()
         self.names = [[selected.text] for selected in select.asked if selected is not None]
-        if made:
-            same = zip(*(projection.groups for projection in made.values()))
+        if projections:
+            same = zip(*(projection.groups for projection in projections.values()))
             all_names = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
             # A column computed from fields of several definitions may be missing in all tables.
             self.names = [
@@ -471,7 +471,7 @@ class Projections:
                 for names, selected in zip(all_names, select.asked)
             ]
         # By the table itself: two stores may have tables of one name, with other columns.
-        self._made = {table: projection.showing(self.names) for table, projection in made.items()}
+        self._made = {table: p.showing(self.names) for table, p in projections.items()}
 
     def __iter__(self) -> Iterator[Projection]:
         return iter(self._made.values())
@@ -497,7 +497,7 @@ def _place_computed(
 ) -> tuple[tuple[tuple[Output, ...], ...], tuple[Get, ...]]:
     """Assign indices after the other values to the computed values."""
     computed: list[Get] = []
-    placed: list[tuple[Output, ...]] = []
+    out_groups: list[tuple[Output, ...]] = []
     for group in groups:
         outputs = []
         for output in group:
@@ -505,8 +505,8 @@ def _place_computed(
                 computed.append(output.compute)
                 output = output._replace(place=width + len(computed) - 1)
             outputs.append(output)
-        placed.append(tuple(outputs))
-    return tuple(placed), tuple(computed)
+        out_groups.append(tuple(outputs))
+    return tuple(out_groups), tuple(computed)
 
 
 def _show_with(make: Get) -> Get:
@@ -581,17 +581,17 @@ def _compile_rows(
     blank = [None] * fields
 
     def rows(row: Row) -> _ResultRows | None:
-        held = row.columns
-        fills = layouts.get(len(held))
+        columns = row.columns
+        fills = layouts.get(len(columns))
         if fills is None:
             return None
         try:
             values: list[Any] = [*identify(row), *blank]
-            if not fills[0](held, values):
+            if not fills[0](columns, values):
                 return None
             if check(values) is not True:
                 return _NONE
-            if not fills[1](held, values):
+            if not fills[1](columns, values):
                 return None
         except (*BUILD_ERRORS, MessageNotFound):
             return None
@@ -618,16 +618,16 @@ def _compile_fill(parts: Sequence[_FieldPlace]) -> _Fill:
     fills = [_others(others)] if others else []
     fills += [_numbers(numbers)] if numbers else []
     if not fills:
-        return lambda held, values: True
+        return lambda columns, values: True
     if len(fills) == 1:
         return fills[0]
-    return lambda held, values: fills[0](held, values) and fills[1](held, values)
+    return lambda columns, values: fills[0](columns, values) and fills[1](columns, values)
 
 
 def _others(parts: Sequence[tuple[int, int, Get]]) -> _Fill:
-    def fill(held: _RawColumns, values: list[Any]) -> bool:
+    def fill(columns: _RawColumns, values: list[Any]) -> bool:
         for place, at, decode in parts:
-            raw = held[at]
+            raw = columns[at]
             if raw is None:
                 return False
             values[place] = decode(raw)
@@ -643,8 +643,8 @@ def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
     first, end = places[0], places[-1] + 1
     together = places == list(range(first, end))
 
-    def fill(held: _RawColumns, values: list[Any]) -> bool:
-        raws = take(held)
+    def fill(columns: _RawColumns, values: list[Any]) -> bool:
+        raws = take(columns)
         if None in raws:
             return False
         if together:
@@ -657,24 +657,24 @@ def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
     return fill
 
 
-def _compile_show(shown: _ShownColumns, computed: Sequence[Get] = ()) -> _Show:
+def _compile_show(columns: _ShownColumns, computed: Sequence[Get] = ()) -> _Show:
     """Return the function from the values of a row, which it may change, to a row of the result."""
     if computed:
-        inner = _compile_show(shown)
+        inner = _compile_show(columns)
         return lambda row, values: inner(row, [*values, *[get(values) for get in computed]])
-    keys = [n for n, (place, get) in enumerate(shown) if place == KEY_PLACE and get is None]
-    made: dict[tuple[int, Get], int] = {}
+    keys = [n for n, (place, get) in enumerate(columns) if place == KEY_PLACE and get is None]
+    firsts: dict[tuple[int, Get], int] = {}
     gets, copies = [], []
-    for n, (place, get) in enumerate(shown):
+    for n, (place, get) in enumerate(columns):
         if place is not None and get:
-            first = made.setdefault((place, get), n)
+            first = firsts.setdefault((place, get), n)
             # A column that is selected twice is computed once.
             if first == n:
                 gets.append((n, get))
             else:
                 copies.append((n, first))
     # The row's key is appended to the values.
-    places = [-1 if n in keys else place for n, (place, _) in enumerate(shown)]
+    places = [-1 if n in keys else place for n, (place, _) in enumerate(columns)]
     if None in places or len(places) < 2:
         take = _take(places)
     else:

@@ -126,7 +126,7 @@ def _check_columns(select: Select) -> None:
 
 def _with_order(select: Select) -> Select:
     """Set the column of each ORDER BY item, a hidden one if it is not shown."""
-    placed, hidden = [], list(select.hidden)
+    order, hidden = [], list(select.hidden)
     every = len(select.visible)
     limited = bool(select.group or select.aggregates or select.distinct)
     for key in select.order:
@@ -144,8 +144,8 @@ def _with_order(select: Select) -> Select:
                 raise StatementError(key.position, f"{key.what.text} {reason}")
             place = every + len(hidden)
             hidden.append(Selected(key.what))
-        placed.append(Ordering(key.what, key.descending, key.position, place))
-    return replace(select, order=tuple(placed), hidden=tuple(hidden))
+        order.append(Ordering(key.what, key.descending, key.position, place))
+    return replace(select, order=tuple(order), hidden=tuple(hidden))
 
 
 def _place(select: Select, what: What) -> int | None:
@@ -228,18 +228,18 @@ def make_groups(
             different kinds.
     """
     starts = [0, *accumulate(map(len, names))]
-    shown = starts[len(select.visible)]
+    width = starts[len(select.visible)]
     if select.group:
-        rows = _group(select, rows, shown)
+        rows = _group(select, rows, width)
     elif select.aggregates:
         rows = _total(select, rows)
     if select.distinct:
-        rows = _distinct(select, rows, shown)
+        rows = _distinct(select, rows, width)
     if select.order:
         places = [starts[key.place] for key in select.order]
         _check_single(select, names)
         rows = _order(select, rows, places, most)
-    return (row[:shown] for row in rows)
+    return (row[:width] for row in rows)
 
 
 class _Memory:
@@ -274,11 +274,11 @@ def _total(select: Select, rows: Iterable[ResultRow]) -> Iterator[ResultRow]:
     yield totals.values()
 
 
-def _group(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[ResultRow]:
+def _group(select: Select, rows: Iterable[ResultRow], width: int) -> Iterator[ResultRow]:
     """Yield a row for each group, with the values of GROUP BY after its columns."""
     remedy = "group by less, or by time(1h), or choose fewer rows by WHERE KEY > …"
     memory = _Memory(select, select.group[0].position, remedy)
-    widths = slice(shown, shown + len(select.group))
+    widths = slice(width, width + len(select.group))
     times = [n for n, t in enumerate(select.group) if isinstance(t, Call) and t.function == "time"]
     groups: dict[tuple[Any, ...], tuple[Aggregation, ResultRow]] = {}
     latest: Any = None
@@ -305,14 +305,14 @@ def _finish(
     return ((*totals.values(), *by) for totals, by in groups.values())
 
 
-def _distinct(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[ResultRow]:
+def _distinct(select: Select, rows: Iterable[ResultRow], width: int) -> Iterator[ResultRow]:
     remedy = "select fewer columns, or choose fewer rows by WHERE KEY > …"
     memory = _Memory(select, len(select.text) - len(select.text.lstrip()), remedy)
-    seen = set()
+    keys = set()
     for row in rows:
-        key = tuple(map(_identity, row[:shown]))
-        if key not in seen:
-            seen.add(key)
+        key = tuple(map(_identity, row[:width]))
+        if key not in keys:
+            keys.add(key)
             memory.take(row, getsizeof(key))
             yield row
 
@@ -346,27 +346,27 @@ def _order(
     memory = _Memory(select, select.order[0].position, remedy)
     key = _key_of(select.order, places)
     enough = None if most is None else max(2 * most, LEAST_KEPT)
-    kept: list[tuple[Key, ResultRow]] = []
+    buffer: list[tuple[Key, ResultRow]] = []
     try:
         for row in rows:
-            kept.append((key(row), row))
-            if enough is not None and len(kept) > enough:
-                kept = _first(kept, most)
+            buffer.append((key(row), row))
+            if enough is not None and len(buffer) > enough:
+                buffer = _first(buffer, most)
                 memory.clear()
-                for _, other in kept:
+                for _, other in buffer:
                     memory.take(other)
             else:
                 memory.take(row)
-        pairs = _first(kept, most)
+        pairs = _first(buffer, most)
     except TypeError as exc:
         reason = f"the definitions of this topic hold values of different kinds there ({exc})"
         raise InvalidQuery(select.text, select.order[0].position, reason) from None
     yield from (row for _, row in pairs)
 
 
-def _first(kept: list[tuple[Key, ResultRow]], most: int | None) -> list[tuple[Key, ResultRow]]:
-    kept.sort(key=lambda pair: pair[0])  # stable: equal rows keep their order
-    return kept[:most]
+def _first(pairs: list[tuple[Key, ResultRow]], most: int | None) -> list[tuple[Key, ResultRow]]:
+    pairs.sort(key=lambda pair: pair[0])  # stable: equal rows keep their order
+    return pairs[:most]
 
 
 def _key_of(order: Sequence[Ordering], places: Sequence[int]) -> Callable[[ResultRow], Key]:

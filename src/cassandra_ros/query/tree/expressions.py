@@ -103,10 +103,10 @@ def compile_term(term: Term, find: OperandFinder) -> Computed | None:
         return None
     operands = _as_times(term, operands)
     families = tuple(family(operand.kind) for operand in operands)
-    made = _RULES.get((term.function, *families))
-    if made is None:
+    rule = _RULES.get((term.function, *families))
+    if rule is None:
         raise StatementError(term.position, _reason(term, operands))
-    kind, compute = made
+    kind, compute = rule
     if not kind:  # the operands are numbers
         kinds = [operand.kind for operand in operands]
         kind = "float64" if any(k.startswith("float") for k in kinds) else INTEGER
@@ -130,12 +130,12 @@ def _compile_all(terms: Sequence[Term], find: OperandFinder) -> list[Computed | 
 
 def fold(call: Call) -> Literal | Call:
     """Compute a call of constants only; StatementError: it has no value."""
-    made = compile_term(call, lambda operand, array: None)
-    value = None if made is None else made.get(())
-    if made is None or value is None:
+    computed = compile_term(call, lambda operand, array: None)
+    value = None if computed is None else computed.get(())
+    if computed is None or value is None:
         raise StatementError(call.position, f"{call.text} cannot be computed")
     marks: dict[str, Callable[[int], object]] = {"time": TimeNs, "duration": DurationNs}
-    return Literal(marks[made.kind](value) if made.kind in marks else value, call.position)
+    return Literal(marks[computed.kind](value) if computed.kind in marks else value, call.position)
 
 
 def _constant(literal: Literal) -> Computed:

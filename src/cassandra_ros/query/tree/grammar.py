@@ -73,21 +73,21 @@ _TABLES = pathlib.Path(__file__).with_name("cql_tables.json")
 def grammar() -> Lark:
     """Return the parser of statements and conditions, made once."""
     try:
-        kept = json.loads(_TABLES.read_text("ascii"), object_hook=_with_numbers)
+        tables = json.loads(_TABLES.read_text("ascii"), object_hook=_with_numbers)
     except FileNotFoundError:  # the package was copied without it
         return _compute_parser()
-    if kept["origin"] != _origin():
+    if tables["origin"] != _origin():
         return _compute_parser()
-    kept["data"]["options"]["transformer"] = _Builder()
-    return Lark.load(kept)
+    tables["data"]["options"]["transformer"] = _Builder()
+    return Lark.load(tables)
 
 
 def write_tables() -> None:
     """Compute the tables and keep them in the file beside the grammar."""
     data, memo = _compute_parser().memo_serialize([lark.lexer.TerminalDef, lark.grammar.Rule])
     data["options"] = {**data["options"], "transformer": None}
-    kept = {"origin": _origin(), "data": data, "memo": memo}
-    _TABLES.write_text(json.dumps(kept, separators=(",", ":")) + "\n", "ascii")
+    tables = {"origin": _origin(), "data": data, "memo": memo}
+    _TABLES.write_text(json.dumps(tables, separators=(",", ":")) + "\n", "ascii")
 
 
 def _compute_parser() -> Lark:
@@ -127,12 +127,12 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         order: tuple[Ordering, ...] | None,
         limit: Literal | None,
     ) -> tuple[Select, Literal | None]:
-        shown = None if isinstance(columns, Token) else columns
+        selection = None if isinstance(columns, Token) else columns
         order, group = order or (), group or ()
         down = False
         if len(order) == 1 and isinstance(order[0].what, KeyOperand) and not group:
             down, order = order[0].descending, ()
-        select = Select("", shown, *topic, condition, down, None, distinct is not None)
+        select = Select("", selection, *topic, condition, down, None, distinct is not None)
         return replace(select, group=group, order=order), limit
 
     def delete(self, topic: tuple[str, int], condition: Expression | None) -> Delete:
@@ -183,11 +183,11 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             spot = at if argument is None else _at(argument)
             reason = f"{function} takes one {'duration' if function == 'time' else 'field'}"
             raise StatementError(spot, f"{reason}; only count takes *")
-        given = (KeyOperand(at), argument) if function == "time" else (argument,)
+        arguments = (KeyOperand(at), argument) if function == "time" else (argument,)
         if function in QUANTIFIERS and not isinstance(argument, Path):
             reason = f"{word.upper()} takes an array, not {_part(argument).text}"
             raise StatementError(argument.position, reason)
-        return _call(function, given, at)
+        return _call(function, arguments, at)
 
     def binary(self, left: Term, sign: Token, right: Term) -> Call:
         return _call(str(sign), (left, right), _at(sign))
@@ -237,10 +237,10 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return _unless(negated, Compare(_varying(operand), sign, _value(value)))
 
     def one_of(self, operand: Term, negated: _Not, *values: Term | None) -> Expression:
-        listed = tuple(_value(v) for v in values if v is not None)
+        constants = tuple(_value(v) for v in values if v is not None)
         if _quantifies(operand):
-            return _make_quantified(operand, [("=", value) for value in listed], negated, True)
-        return _unless(negated, OneOf(_varying(operand), listed))
+            return _make_quantified(operand, [("=", value) for value in constants], negated, True)
+        return _unless(negated, OneOf(_varying(operand), constants))
 
     def in_list(self, operand: Term, negated: _Not, values: Literal) -> Expression:
         if _quantifies(operand):
@@ -256,14 +256,14 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return _unless(negated, inside)
 
     def near(self, word: Token, *values: Term | None) -> Near:
-        given = tuple(_value(value) for value in values if value is not None)
-        if not NEAR_VALUES[0] <= len(given) <= NEAR_VALUES[1]:
+        numbers = tuple(_value(value) for value in values if value is not None)
+        if not NEAR_VALUES[0] <= len(numbers) <= NEAR_VALUES[1]:
             reason = (
-                f"NEAR takes 3 to 5 values, not {len(given)}: x, y, a radius in metres, a frame "
+                f"NEAR takes 3 to 5 values, not {len(numbers)}: x, y, a radius in metres, a frame "
             )
             reason += "('map' where none is given) and a robot, as NEAR(2.5, 0, 1.5, 'odom')"
             raise StatementError(_at(word), reason)
-        return Near(given, _at(word))
+        return Near(numbers, _at(word))
 
     def event(self, word: Token, name: Term) -> InEvent:
         return InEvent(_value(name), False, _at(word))
@@ -283,10 +283,10 @@ class _Builder(Transformer):  # type: ignore[type-arg]
 
     def part(self, token: Token, index: Token | None) -> tuple[PathPart, ...]:
         names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
-        made = [PathPart(name, None, _at(token)) for name in names]
+        path_parts = [PathPart(name, None, _at(token)) for name in names]
         if index is not None:
-            made[-1] = PathPart(names[-1], _integer(index), _at(token))
-        return tuple(made)
+            path_parts[-1] = PathPart(names[-1], _integer(index), _at(token))
+        return tuple(path_parts)
 
     def literal(self, token: Token) -> Literal:
         if token.type == "PLACEHOLDER":
@@ -356,8 +356,8 @@ def _part(term: Term) -> Term:
         reason = f"stands alone on one side of a comparison, as {word}(ranges) < 0.2"
         raise StatementError(term.position, f"{word}({term.arguments[0].text}) {reason}")
     if term.function == "count":
-        shown = term.arguments[0].text if term.arguments else "*"
-        reason = f"count({shown}) is made of all rows, so it stands alone in SELECT and ORDER BY: "
+        name = term.arguments[0].text if term.arguments else "*"
+        reason = f"count({name}) is made of all rows, so it stands alone in SELECT and ORDER BY: "
         reason += "select it, and compare or compute in a second statement"
         raise StatementError(term.position, reason)
     return term
@@ -419,10 +419,10 @@ def _make_quantified(
     if not isinstance(call, Call) or not isinstance(call.arguments[0], Path):
         raise AssertionError("the grammar lets nothing else through")
     every, array = call.function == "all", call.arguments[0]
-    made = [(sign, _value(to) if is_constant(to) else to) for sign, to in tests]
-    sign, first = made[0] if made else ("", None)
-    if sign == "=" and len(made) == 1 and isinstance(first, Literal) and not (every or negated):
+    compares = [(sign, _value(to) if is_constant(to) else to) for sign, to in tests]
+    sign, first = compares[0] if compares else ("", None)
+    if sign == "=" and len(compares) == 1 and isinstance(first, Literal) and not (every or negated):
         return Compare(
             array, "CONTAINS", first
         )  # equivalent, and the planner can use it more often
-    return Quantified(array, every, tuple(made), call.position, either, negated is not None)
+    return Quantified(array, every, tuple(compares), call.position, either, negated is not None)

@@ -49,12 +49,12 @@ def fit_to_kind(literal: Literal, kind: str, name: str, is_a: str) -> Comparable
     """
     if kind == "time":
         return fit_to_time(literal, name)
-    fit, wanted = _FITS.get(kind, (_number, "a number"))
-    fitted = fit(literal.value)
-    if fitted is None:
-        reason = f"{name} is {is_a}; compare it with {wanted}, not with {_show(literal.value)}"
+    fit, description = _FITS.get(kind, (_number, "a number"))
+    value = fit(literal.value)
+    if value is None:
+        reason = f"{name} is {is_a}; compare it with {description}, not with {_show(literal.value)}"
         raise StatementError(literal.position, reason)
-    return fitted
+    return value
 
 
 def fitting(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:

@@ -106,20 +106,20 @@ def parse_statement(text: str, params: Sequence[object] = ()) -> Select | Change
         InvalidQuery: The text is not a statement, or the parameters do not fit.
     """
     tree = _parse(text, "statement")
-    parsed, limit = tree if isinstance(tree, tuple) else (tree, None)
-    terms = chain(terms_of_statement(parsed), [] if limit is None else [limit])
+    statement, limit = tree if isinstance(tree, tuple) else (tree, None)
+    terms = chain(terms_of_statement(statement), [] if limit is None else [limit])
     bound = Binding(text, params, terms)
     try:
-        if isinstance(parsed, Select):
-            parsed = bound.select(parsed)
-        elif isinstance(parsed, Delete):
-            parsed = replace(parsed, condition=bound.expression(parsed.condition))
+        if isinstance(statement, Select):
+            statement = bound.select(statement)
+        elif isinstance(statement, Delete):
+            statement = replace(statement, condition=bound.expression(statement.condition))
     except StatementError as exc:
         raise InvalidQuery(text, exc.position, exc.reason) from None
     if limit is not None:
-        parsed = replace(parsed, limit=_limit(text, bound.value(limit)))
-    statement: Select | Change = replace(parsed, text=text)
-    return statement
+        statement = replace(statement, limit=_limit(text, bound.value(limit)))
+    result: Select | Change = replace(statement, text=text)
+    return result
 
 
 def parse_select(text: str, params: Sequence[object] = ()) -> Select:
@@ -207,11 +207,11 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
         for name in expected - {"_END"}
         if name.startswith("_") or name in _KEPT_KEYWORDS
     ]
-    shown = f"found {word!r}" if word else "the statement ends here"
+    finding = f"found {word!r}" if word else "the statement ends here"
     words = {**_WORDS, "NAME": "a name"} if "_ON" in expected else _WORDS
-    wanted = ", ".join(sorted(words.get(name, name.lstrip("_")) for name in expected - _UNSAID))
+    choice = ", ".join(sorted(words.get(name, name.lstrip("_")) for name in expected - _UNSAID))
     hint = _hint(text[:position], word, expected, previous) or nearest(word, keywords)
-    return position, f"{shown}{hint}; expected {wanted or 'something else'}"
+    return position, f"{finding}{hint}; expected {choice or 'something else'}"
 
 
 def _hint(before: str, word: str, expected: set[str], previous: str) -> str:
@@ -258,10 +258,10 @@ class Binding:
         params: Sequence[object],
         terms: Iterable[Term],
     ) -> None:
-        given = [term for term in terms if isinstance(term, (Literal, Call))]
+        slots = [term for term in terms if isinstance(term, (Literal, Call))]
         # Most statements have no parameters and stay unchanged.
-        self._fixed = all(isinstance(term, Literal) and term.bound for term in given)
-        positions = sorted(set(_placeholders(given)))  # BETWEEN repeats its operand in the tree
+        self._fixed = all(isinstance(term, Literal) and term.bound for term in slots)
+        positions = sorted(set(_placeholders(slots)))  # BETWEEN repeats its operand in the tree
         _check_params(text, positions, params)
         if len(positions) != len(params):
             at = positions[len(params)] if len(params) < len(positions) else len(text)

@@ -174,8 +174,8 @@ def _offers(
     if "NAME" in accepted and "_ON" not in accepted and not _names_something(previous):
         offers += _fields(text, source)
     if "FUNCTION" in accepted:
-        wanted = _FUNCTIONS + (_QUANTIFIERS if _is_condition(previous) else ())
-        offers += [Offer(f"{name}(", "function") for name in wanted]
+        functions = _FUNCTIONS + (_QUANTIFIERS if _is_condition(previous) else ())
+        offers += [Offer(f"{name}(", "function") for name in functions]
     if "STAR" in accepted and previous and previous[-1].type != "_SELECT":
         accepted = accepted - {"STAR"}  # here it means multiplication
     offers += [Offer(word, "keyword") for name, word in _KEYWORDS.items() if name in accepted]

@@ -105,11 +105,11 @@ def path_text(names: Sequence[tuple[str, int | None]]) -> str:
 
     A field called KEY, NODE or RUN is quoted, because unquoted these words have another meaning.
     """
-    shown = [name if index is None else f"{name}[{index}]" for name, index in names]
+    texts = [name if index is None else f"{name}[{index}]" for name, index in names]
     first = names[0][0]
     if first in OWN_WORDS:
-        shown[0] = shown[0].replace(first, f'"{first}"', 1)
-    return ".".join(shown)
+        texts[0] = texts[0].replace(first, f'"{first}"', 1)
+    return ".".join(texts)
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,8 @@ class Call:
         """Expression as the name of a column."""
         precedence = ARITHMETIC.get(self.function)
         if precedence is None:
-            shown = self.arguments[1:] if self.function == "time" else self.arguments
-            return f"{self.function}({', '.join(argument.text for argument in shown)})"
+            arguments = self.arguments[1:] if self.function == "time" else self.arguments
+            return f"{self.function}({', '.join(argument.text for argument in arguments)})"
         # A right operand of equal precedence keeps its parentheses.
         texts = [_within(argument, precedence + n) for n, argument in enumerate(self.arguments)]
         if len(texts) == 1:
