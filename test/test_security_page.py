@@ -26,7 +26,7 @@ from cassandra_ros.files.bag import format as bag_format
 from cassandra_ros.files.bag import mcap_format, message_file
 from cassandra_ros.files.spool import spool_folder
 from cassandra_ros.local_server import LocalCluster, cluster_settings, ports, processes
-from cassandra_ros.local_server.cluster_settings import Settings
+from cassandra_ros.local_server.cluster_settings import ClusterSettings
 from cassandra_ros.messages import definition, shape
 from cassandra_ros.nodes import history_subscriber, query_node, ros_node, subscription
 from cassandra_ros.query.rows import answer_bound
@@ -35,7 +35,7 @@ from cassandra_ros.recording import place_keeper, recording, topic_settings
 from cassandra_ros.viewing import security, viewer_server, viewer_settings
 
 ROOT = Path(__file__).resolve().parents[1]
-LIMITS = viewer_settings.Limits()
+LIMITS = viewer_settings.ClientLimits()
 
 
 def mib(nbytes):
@@ -106,8 +106,8 @@ PROMISES = [
     f"delay the start of a ROS node by {ros_node.ALONE_SEC:g} s",
     f"| {viewer_settings.DEFAULT_PORT} (`--port`) |",
     f"`{viewer_settings.DEFAULT_HOST}`; another one only with `--host` and a token",
-    f"| {Settings('x').port} (`--port`) |",
-    f"`{Settings('x').host}`, with several nodes `127.0.0.1` to `127.0.0.N`",
+    f"| {ClusterSettings('x').port} (`--port`) |",
+    f"`{ClusterSettings('x').host}`, with several nodes `127.0.0.1` to `127.0.0.N`",
     f"a free one, {ports.SERVER_PORTS.start} to {ports.SERVER_PORTS.stop - 1} |",
 ]
 """What the text says, with the figures of the code."""

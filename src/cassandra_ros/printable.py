@@ -98,7 +98,7 @@ def _html_row(tag: str, values: Iterable[object]) -> str:
     return f"<tr>{''.join(cells)}</tr>"
 
 
-class Listing(List[_Item]):
+class PrintableList(List[_Item]):
     """A list that is shown with one item per line, and in a notebook as a table.
 
     Attributes:

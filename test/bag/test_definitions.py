@@ -24,7 +24,7 @@ from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import attribute_name, parse_definition
 from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.recording.recording import Recording
 
@@ -200,7 +200,7 @@ def test_without_a_usable_definition_the_md5_tells_the_type(rosCas, tmp_path, ca
 
 def test_messages_of_another_definition_with_the_same_md5_are_not_played_together(rosCas, tmp_path):
     by_writer(rosCas, tmp_path, [way(n) for n in range(6)], "binary")
-    stream = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection())
+    stream = PlayStream(PlayedKeyspace(rosCas.catalog), PlaySelection())
     first, second = stream.channels()
     assert (first.definition, second.definition) == (
         MANY["message_definition"],

@@ -17,7 +17,7 @@ from cassandra_ros.files.bag import importer
 from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.files.bag.comparison import verify_bag
 from cassandra_ros.files.bag.importer import import_bag
-from cassandra_ros.store.blocks.block_builder import Limits
+from cassandra_ros.store.blocks.block_builder import BlockLimits
 from cassandra_ros.store.tables import replacement
 
 START = 1_700_000_000 * 10**9
@@ -57,7 +57,7 @@ def table_rows(rosCas, cql):
 
 @pytest.fixture
 def small_blocks(monkeypatch):
-    monkeypatch.setattr(importer, "limits_for", lambda connections: Limits(100, 20_000))
+    monkeypatch.setattr(importer, "limits_for", lambda connections: BlockLimits(100, 20_000))
 
 
 def test_a_repeated_import_ends_in_the_same_rows(rosCas, cql, tmp_path, small_blocks):

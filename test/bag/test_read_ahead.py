@@ -12,7 +12,7 @@ import pytest
 
 from cassandra_ros.errors import BagError
 from cassandra_ros.files.bag import importer
-from cassandra_ros.files.bag.importer import ReadAhead
+from cassandra_ros.files.bag.importer import BatchReadAhead
 from cassandra_ros.files.bag.message_file import MessageBatch
 
 
@@ -22,7 +22,7 @@ def batch(number, size):
 
 
 def test_batches_come_in_order_with_their_sizes():
-    with ReadAhead(batch(n, n % 7) for n in range(500)) as ahead:
+    with BatchReadAhead(batch(n, n % 7) for n in range(500)) as ahead:
         assert [(s.number, size) for s, size in ahead] == [(n, n % 7) for n in range(500)]
 
 
@@ -32,7 +32,7 @@ def test_an_error_of_the_reader_is_raised_after_all_earlier_batches():
         raise BagError("damaged")
 
     seen = []
-    with pytest.raises(BagError, match="damaged"), ReadAhead(broken()) as ahead:
+    with pytest.raises(BagError, match="damaged"), BatchReadAhead(broken()) as ahead:
         seen += (s.number for s, _ in ahead)
     assert seen == [0, 1, 2]
 
@@ -46,7 +46,7 @@ def test_no_more_is_read_ahead_than_is_allowed(monkeypatch):
             read.put(number)
             yield batch(number, 5000 if number == 1 else 300)
 
-    with ReadAhead(endless()) as ahead:
+    with BatchReadAhead(endless()) as ahead:
         every = iter(ahead)
         for taken in range(20):
             # Held are three of 300 bytes, and the next one waits for room; or the large one alone.
@@ -57,7 +57,9 @@ def test_no_more_is_read_ahead_than_is_allowed(monkeypatch):
 
 
 def test_who_takes_no_more_ends_the_reading():
-    with pytest.raises(KeyboardInterrupt), ReadAhead(batch(n, 10**6) for n in range(99)) as ahead:
+    with pytest.raises(KeyboardInterrupt), BatchReadAhead(
+        batch(n, 10**6) for n in range(99)
+    ) as ahead:
         next(iter(ahead))
         raise KeyboardInterrupt
     assert not any(t.name == "cassandra_ros-bag" for t in threading.enumerate())

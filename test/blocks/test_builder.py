@@ -20,8 +20,8 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.blocks.block_builder import (
     ALL_BYTES,
     ALONE_BYTES,
+    BlockLimits,
     Builders,
-    Limits,
     limits_for,
     make_block,
 )
@@ -29,7 +29,7 @@ from cassandra_ros.store.blocks.codec import unpack_block
 from cassandra_ros.store.tables.row_table import CHUNK_BYTES
 
 SPAN, BUCKET = 50, 170
-SMALL = Limits(7, 100)
+SMALL = BlockLimits(7, 100)
 
 
 class Table:
@@ -164,7 +164,7 @@ def test_messages_of_several_threads_are_all_there(steps, threads):
 
 
 def test_a_large_message_is_alone():
-    cutter = Cutter(Limits())
+    cutter = Cutter(BlockLimits())
     sizes = [10, ALONE_BYTES, ALONE_BYTES + 1, 10, 10, CHUNK_BYTES + 1, 10]
     cutter.take([(1000 + n, n, bytes(size)) for n, size in enumerate(sizes)])
     # The large ones do not wait.
@@ -176,13 +176,13 @@ def test_a_large_message_is_alone():
 
 
 def test_a_full_block_does_not_wait():
-    cutter = Cutter(Limits())
+    cutter = Cutter(BlockLimits())
     cutter.take([(1000, n, b"x") for n in range(1024)])
     assert [len(block.wires) for _, block in cutter.blocks] == [1024]
 
 
 def test_a_message_that_would_pass_the_bytes_begins_the_next():
-    cutter = Cutter(Limits())
+    cutter = Cutter(BlockLimits())
     cutter.take([(1000, n, bytes(60 * 1024)) for n in range(5)])
     assert [len(block.wires) for _, block in cutter.blocks] == [4]
 
@@ -252,6 +252,6 @@ def test_nothing_is_taken_for_a_table_that_is_gone():
 def test_limits_bound_the_memory(connections):
     found = limits_for(connections)
     assert 16 * 1024 <= found.bytes <= 256 * 1024 and 64 <= found.messages <= 1024
-    assert found == Limits() or connections > 256
+    assert found == BlockLimits() or connections > 256
     if connections <= 4096:
         assert found.bytes * connections <= ALL_BYTES

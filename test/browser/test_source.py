@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from viewers import running_viewer
 
 from cassandra_ros.errors import StoreUnavailable
-from cassandra_ros.viewing.answers import Stream
+from cassandra_ros.viewing.answers import StreamedBody
 from cassandra_ros.viewing.routes import ROUTES
 
 COUNT = 210
@@ -115,7 +115,9 @@ class Faults:
         if fault == "away":
             raise StoreUnavailable("the store is away for a moment")
         answer = usual(call)
-        return Stream(self.cut(answer.chunks), answer.content_type) if fault == "cut" else answer
+        return (
+            StreamedBody(self.cut(answer.chunks), answer.content_type) if fault == "cut" else answer
+        )
 
     def cut(self, chunks):
         for chunk in chunks:

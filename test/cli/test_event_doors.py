@@ -29,7 +29,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.read import TimeRange
 
@@ -107,7 +107,7 @@ def test_every_door_means_the_same_messages(store, call, tmp_path):
     assert call(*verify, "--event", "bump")[0] == 0
     assert call(*verify, "--event", "door")[0] == 1
 
-    played = Stream(PlayedKeyspace(store.catalog), PlaySelection(["/n"], event="bump"))
+    played = PlayStream(PlayedKeyspace(store.catalog), PlaySelection(["/n"], event="bump"))
     assert set(told(each.row.message().data for each in played.messages())) == BUMPS
 
     assert call("delete", "/n", "--event", "bump", "--dry-run", "--json")[0] == 0
@@ -136,7 +136,7 @@ def test_every_door_takes_the_time_before_and_after(store, call, tmp_path):
         assert set(told(m.data for _, m, _ in written.read_messages())) == WIDER
     assert call("verify", bag, "--content", "--topics", "/n", *words)[0] == 0
     options = player.make_parser().parse_args(["/n", *words])
-    played = Stream(PlayedKeyspace(store.catalog), player.read_selection(options))
+    played = PlayStream(PlayedKeyspace(store.catalog), player.read_selection(options))
     assert set(told(each.row.message().data for each in played.messages())) == WIDER
     assert store.upkeep.delete("/n", event=rule) == {"/n": len(WIDER)}
 
@@ -180,13 +180,15 @@ def test_a_name_without_events_says_so(store, call, tmp_path):
     with pytest.raises(EventNotFound, match="of this time, robot and run"):
         store.readMessages("/n", T0 + 40 * SEC, event="bump")
     with pytest.raises(EventNotFound):
-        Stream(PlayedKeyspace(store.catalog), PlaySelection(event="bumb"))
+        PlayStream(PlayedKeyspace(store.catalog), PlaySelection(event="bumb"))
     with pytest.raises(MessageNotFound, match="between"):
-        Stream(
+        PlayStream(
             PlayedKeyspace(store.catalog), PlaySelection(["/n"], event="bump", start=8.0, end=9.0)
         )
     with pytest.raises(InvalidOption, match="give one of them"):
-        Stream(PlayedKeyspace(store.catalog), PlaySelection(event="bump", around="/n: data > 1"))
+        PlayStream(
+            PlayedKeyspace(store.catalog), PlaySelection(event="bump", around="/n: data > 1")
+        )
     for verb in ("cat", "export", "delete", "thumbs", "map"):
         words = [tmp_path / "x.bag"] if verb == "export" else ["/n"]
         status, out, err = call(verb, *words, "--event", "bumb")
@@ -229,7 +231,7 @@ def test_an_export_begins_each_time_range_with_what_was_latched(store, tmp_path)
 
 
 def test_the_player_skips_the_time_between_events(store):
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(store.catalog), PlaySelection(["/n"], event="bump", nodeID="husky")
     )
     assert stream.windows == [

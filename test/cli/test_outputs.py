@@ -25,7 +25,7 @@ from cassandra_ros.files.spool.spool_folder import SpoolFolder
 from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.recording.topic_settings import Settings, settings_as_json
+from cassandra_ros.recording.topic_settings import RecordingSettings, settings_as_json
 from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 
 SEC = 10**9
@@ -152,7 +152,7 @@ def leave_in_spool(folder, cassandra, keyspace):
     """Leave the run 7 in a spool."""
     run = SpoolFolder(folder).begin(7)
     address = f"{cassandra.host}:{cassandra.port}"
-    settings = settings_as_json(Settings())
+    settings = settings_as_json(RecordingSettings())
     label = SpoolLabel(7, 7, keyspace, address, T0, name="left", settings=settings)
     segment = SegmentWriter(run.new_file(), label)
     connection = live_connection("/spooled", header_of(String))

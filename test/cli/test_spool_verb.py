@@ -16,7 +16,7 @@ from cassandra_ros.files.spool.segment_writer import SegmentWriter
 from cassandra_ros.files.spool.spool_folder import SpoolFolder
 from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.recording.topic_settings import Settings, settings_as_json
+from cassandra_ros.recording.topic_settings import RecordingSettings, settings_as_json
 
 T0 = 1_400_000_000 * 10**9
 
@@ -32,7 +32,7 @@ def leave(cassandra, keyspace, tmp_path):
     def write(writer, keyspace=keyspace):
         folder = SpoolFolder(tmp_path / "spool").begin(writer)
         address = f"{cassandra.host}:{cassandra.port}"
-        settings = settings_as_json(Settings())
+        settings = settings_as_json(RecordingSettings())
         label = SpoolLabel(
             writer, writer, keyspace, address, T0, name=f"run{writer}", settings=settings
         )

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image, ImageFont
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.viewing.drawing.contact_sheet import Cell, draw_sheet, fitted
+from cassandra_ros.viewing.drawing.contact_sheet import CaptionedPicture, draw_sheet, fitted
 from cassandra_ros.viewing.drawing.picture_file import check_picture_path, save_picture
 
 COLOURS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (9, 9, 9), (250, 250, 0)]
@@ -22,7 +22,10 @@ def where(sheet, colour):
 
 
 def test_pictures_stand_in_rows():
-    cells = [Cell(str(n), Image.new("RGB", (40, 30), colour)) for n, colour in enumerate(COLOURS)]
+    cells = [
+        CaptionedPicture(str(n), Image.new("RGB", (40, 30), colour))
+        for n, colour in enumerate(COLOURS)
+    ]
     sheet = draw_sheet(cells, 3, 40, "five")
     boxes = [where(sheet, colour) for colour in COLOURS[:3] + COLOURS[4:]]
     assert all((right - left, bottom - top) == (39, 29) for left, top, right, bottom in boxes)
@@ -37,11 +40,13 @@ def test_pictures_stand_in_rows():
 
 def test_one_that_is_missing_or_smaller_leaves_its_place():
     small = Image.new("RGB", (10, 30), COLOURS[0])
-    sheet = draw_sheet([Cell("none", None), Cell("small", small)], 8, 40, "x" * 500)
+    sheet = draw_sheet(
+        [CaptionedPicture("none", None), CaptionedPicture("small", small)], 8, 40, "x" * 500
+    )
     left, _, right, _ = where(sheet, COLOURS[0])
     assert right - left == 9 and left > 46 + 10
     assert sheet.width < 120
-    assert draw_sheet([Cell("none", None)], 1, 40, "").height > 40
+    assert draw_sheet([CaptionedPicture("none", None)], 1, 40, "").height > 40
 
 
 def test_texts_are_cut():

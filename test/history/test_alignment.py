@@ -11,7 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from suites import search
 
-from cassandra_ros.playing.history.alignment import Mark, digest_of, first_live
+from cassandra_ros.playing.history.alignment import MessageFingerprint, digest_of, first_live
 
 MS = 1_000_000
 CONSTANT, SWITCH, NUMBERED = 1, 2, 10**6
@@ -31,8 +31,8 @@ def heard(draw):
     times = [10**18 + n * period for n in range(count)]
     late = st.lists(st.integers(0, period // 4), min_size=count, max_size=count)
     sent = [str(value).encode() for value in values]
-    stored = [Mark(t + d, b) for t, d, b in zip(times, draw(late), sent)]
-    live = [Mark(t + d, b) for t, d, b in zip(times, draw(late), sent)]
+    stored = [MessageFingerprint(t + d, b) for t, d, b in zip(times, draw(late), sent)]
+    live = [MessageFingerprint(t + d, b) for t, d, b in zip(times, draw(late), sent)]
     begin = draw(st.integers(0, count - 1))
     first = draw(st.integers(0, count - 1))
     end = draw(st.integers(first, count))
@@ -54,9 +54,9 @@ def test_the_stored_ones_before_it_and_the_live_ones_are_each_once(case):
 @given(heard(), st.integers(-(10**13), 10**13))
 def test_clocks_that_differ_do_not_matter_where_bytes_tell(case, skew):
     stored, live, first, begin, end = case
-    moved = [Mark(t + skew, b"stamped %d %s" % (t // (2 * MS), b)) for t, b in stored]
-    there = [Mark(t, b"stamped %d %s" % (t // (2 * MS), b)) for t, b in stored]
-    rest = [Mark(t, b"after %d" % t) for t, _ in live]
+    moved = [MessageFingerprint(t + skew, b"stamped %d %s" % (t // (2 * MS), b)) for t, b in stored]
+    there = [MessageFingerprint(t, b"stamped %d %s" % (t // (2 * MS), b)) for t, b in stored]
+    rest = [MessageFingerprint(t, b"after %d" % t) for t, _ in live]
     at = max(0, begin - first)
     found = first_live(moved, [*there[at:], *rest], sure=True)
     assert found == (at if at < len(stored) else None)
@@ -65,8 +65,8 @@ def test_clocks_that_differ_do_not_matter_where_bytes_tell(case, skew):
 @given(heard(), st.data())
 def test_a_recorder_that_lost_or_left_out_some(case, data):
     stored, live, first, begin, end = case
-    whole = [Mark(t, b"%d %s" % (n + first, b)) for n, (t, b) in enumerate(stored)]
-    ours = [Mark(t, b"%d %s" % (n + begin, b)) for n, (t, b) in enumerate(live)]
+    whole = [MessageFingerprint(t, b"%d %s" % (n + first, b)) for n, (t, b) in enumerate(stored)]
+    ours = [MessageFingerprint(t, b"%d %s" % (n + begin, b)) for n, (t, b) in enumerate(live)]
     kept = data.draw(st.lists(st.booleans(), min_size=len(whole), max_size=len(whole)))
     left = [mark for mark, keep in zip(whole, kept) if keep]
     digests = {mark.digest for mark in ours}
@@ -77,8 +77,8 @@ def test_a_recorder_that_lost_or_left_out_some(case, data):
 
 def test_equal_messages_of_long_ago_are_others():
     """A door that reports 'open' once in ten seconds."""
-    stored = [Mark(n * 10_000 * MS, b"open") for n in range(5)]
-    live = [Mark(n * 10_000 * MS, b"open") for n in range(5, 8)]
+    stored = [MessageFingerprint(n * 10_000 * MS, b"open") for n in range(5)]
+    live = [MessageFingerprint(n * 10_000 * MS, b"open") for n in range(5, 8)]
     assert first_live(stored, live) is None
     assert first_live(stored, live[:1]) is None
 
@@ -90,21 +90,21 @@ def test_equal_messages_of_long_ago_are_others():
 def test_few_equal_messages_agree_within_half_a_period_and_half_a_second(
     period_ms, apart_ms, found
 ):
-    stored = [Mark(n * period_ms * MS, b"open") for n in range(3)]
-    live = [Mark((n * period_ms + apart_ms) * MS, b"open") for n in range(2, 5)]
+    stored = [MessageFingerprint(n * period_ms * MS, b"open") for n in range(3)]
+    live = [MessageFingerprint((n * period_ms + apart_ms) * MS, b"open") for n in range(2, 5)]
     assert first_live(stored, live) == found
 
 
 def test_many_equal_messages_take_no_long_time():
-    stored = [Mark(n * MS, b"") for n in range(30_000)]
-    live = [Mark(n * MS + MS // 4, b"") for n in range(20_000, 50_000)]
+    stored = [MessageFingerprint(n * MS, b"") for n in range(30_000)]
+    live = [MessageFingerprint(n * MS + MS // 4, b"") for n in range(20_000, 50_000)]
     assert first_live(stored, live) == 20_000
 
 
 def test_a_subscriber_that_lags_at_first():
     """While it reads the past it takes the messages late, and many at once."""
-    stored = [Mark(n * 10 * MS, b"") for n in range(400)]
-    live = [Mark(max(n, 280) * 10 * MS, b"") for n in range(200, 420)]
+    stored = [MessageFingerprint(n * 10 * MS, b"") for n in range(400)]
+    live = [MessageFingerprint(max(n, 280) * 10 * MS, b"") for n in range(200, 420)]
     assert first_live(stored, live) == 200
 
 
@@ -125,7 +125,10 @@ def test_receive_times_that_scatter_by_half_a_period_and_more(period_ms, late_ms
             )
             for late in (0, skew_ms)
         )
-        marks = [[Mark(t, value) for t, value in zip(times, sent)] for times in (stored, live)]
+        marks = [
+            [MessageFingerprint(t, value) for t, value in zip(times, sent)]
+            for times in (stored, live)
+        ]
         assert first_live(marks[0][:end], marks[1][begin:]) == begin
 
 

@@ -24,7 +24,7 @@ from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.formats.table import FORMATS, format_class
 from cassandra_ros.metadata import MetaView, TopicMetadata, from_comment
 from cassandra_ros.recording.topic_settings import read_settings
-from cassandra_ros.store.tables.schema import Listing
+from cassandra_ros.store.tables.schema import TableListing
 from cassandra_ros.topics.message_writer import usable_definition
 from cassandra_ros.topics.topic_table import definition_in
 
@@ -116,7 +116,7 @@ def test_table_comments(give):
         metadata = from_comment(comment, "t_1")
         if metadata is None:
             return
-        listing = Listing({"t_1": metadata})
+        listing = TableListing({"t_1": metadata})
         assert isinstance(listing.visible, dict)
         text = metadata.to_comment()  # NaN in it is not equal to itself
         assert from_comment(text, "t_1").to_comment() == text

@@ -64,14 +64,14 @@ def request_of(chance, request_class, statement):
 
 
 def test_service_requests(give, rosCas):
-    from cassandra_ros.nodes.query_node import Services
+    from cassandra_ros.nodes.query_node import QueryServices
     from cassandra_ros.recording.event_marks import EventMarks
 
     srv = importlib.import_module("cassandra_ros.srv")
 
     Drive().store(rosCas, ("/tf", "/tf_static", "/odom", "/scan"), "a")
     marks = EventMarks(rosCas.catalog.keyspace.events.put)
-    reading, writing = (Services(rosCas, able, marks) for able in (False, True))
+    reading, writing = (QueryServices(rosCas, able, marks) for able in (False, True))
     handlers = [
         (srv.GetDataRequest, reading.get_data),
         (srv.RangeRequest, reading.range),

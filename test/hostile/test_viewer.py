@@ -17,9 +17,9 @@ from mapping.room import T0, Drive
 from viewers import running_viewer
 
 from cassandra_ros.viewing.routes import ROUTES
-from cassandra_ros.viewing.viewer_settings import Limits
+from cassandra_ros.viewing.viewer_settings import ClientLimits
 
-LIMITS = Limits(head_sec=0.3, idle_sec=0.3, stalled_sec=30.0)
+LIMITS = ClientLimits(head_sec=0.3, idle_sec=0.3, stalled_sec=30.0)
 SECONDS = T0 // 10**9
 ANSWER_SEC = 180.0
 VALUES = {

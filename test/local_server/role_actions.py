@@ -27,7 +27,7 @@ from cassandra_ros.files.spool.spool_folder import SpoolFolder
 from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.recording.topic_settings import Settings, settings_as_json
+from cassandra_ros.recording.topic_settings import RecordingSettings, settings_as_json
 from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 
 SEC = 10**9
@@ -132,7 +132,7 @@ class Fleet:
         number = next(_numbers)
         folder = self.folder / f"spool{number}"
         run = SpoolFolder(folder).begin(number)
-        settings = settings_as_json(Settings())
+        settings = settings_as_json(RecordingSettings())
         host = self.admin.cassandra
         address = f"{','.join(host.hosts)}:{host.port}"
         label = SpoolLabel(

@@ -12,7 +12,7 @@ import pytest
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import server_security as security
-from cassandra_ros.local_server.cluster_settings import Settings
+from cassandra_ros.local_server.cluster_settings import ClusterSettings
 
 
 def test_its_files_are_utf_8_whatever_the_locale(tmp_path):
@@ -34,4 +34,4 @@ def test_a_keytool_that_does_not_end_is_told_of(tmp_path, monkeypatch):
     keytool.write_text("#!/bin/sh\nexec sleep 60\n")
     keytool.chmod(0o700)
     with pytest.raises(ServerError, match="did not end"):
-        security.Security(tmp_path, Settings("test", 1)).make_files(str(tmp_path / "java"))
+        security.Security(tmp_path, ClusterSettings("test", 1)).make_files(str(tmp_path / "java"))

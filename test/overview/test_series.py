@@ -20,7 +20,7 @@ from cassandra_ros.query.arrays.envelope import Grid
 from cassandra_ros.topics.overview import bucket_envelope
 from cassandra_ros.topics.overview.bucket_envelope import PieceReader
 from cassandra_ros.topics.overview.envelopes import EnvelopeCache, spread
-from cassandra_ros.topics.overview.plot_series import Window
+from cassandra_ros.topics.overview.plot_series import PlotWindow
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -106,7 +106,7 @@ def shown(series):
 
 def read(store, fmt, columns, where="", window=None, **options):
     select = f"select {', '.join(columns)} from /{fmt} {where}"
-    return store.statements.series(select, window=window or Window(), **options)
+    return store.statements.series(select, window=window or PlotWindow(), **options)
 
 
 CONDITIONS = {
@@ -136,7 +136,7 @@ def test_each_pixel_shows_what_lies_in_it(stored, fmt, names, where, low, high, 
         low, high = min(low, high), max(low, high)
     params = [time_of(333)] if "?" in where else []
     found = stored.statements.series(
-        f"select {', '.join(names)} from {fmt} {where}", params, Window(low, high, pixels)
+        f"select {', '.join(names)} from {fmt} {where}", params, PlotWindow(low, high, pixels)
     )
     assert found.complete
     assert [column.name for column in found.columns] == names
@@ -162,19 +162,19 @@ def test_of_blocks_in_one_pixel_nothing_is_unpacked(stored, monkeypatch):
 
     monkeypatch.setattr(bucket_envelope, "open_blocks", counted)
     monkeypatch.setattr(PieceReader, "_matching", lambda *_: pytest.fail("rows are read"))
-    read(stored, "packed", ["d", "i"], window=Window(pixels=1))
+    read(stored, "packed", ["d", "i"], window=PlotWindow(pixels=1))
     # Only those of which messages were deleted: their bounds may be too wide.
     assert 1 <= len(opened) <= 4
     assert all(len(header.gone) for header in opened)
     opened.clear()
-    read(stored, "packed", ["f", "i"], window=Window(pixels=1))
+    read(stored, "packed", ["f", "i"], window=PlotWindow(pixels=1))
     # And those with an infinity, which hides the greatest number.
     assert [header.t <= time_of(600) <= header.last for header in opened if not len(header.gone)]
 
 
 def test_what_is_found_soon_shows_all_of_it_thinly(stored):
     for fmt in ("packed", "ros"):
-        window, cache = Window(pixels=50, seconds=0.0), EnvelopeCache()
+        window, cache = PlotWindow(pixels=50, seconds=0.0), EnvelopeCache()
         wanted = brute(Grid.between(time_of(0), time_of(COUNT - 1), 50), [0, 2])
         shares, edges, found = [], [], None
         while found is None or not found.complete:
@@ -194,7 +194,7 @@ def test_what_is_found_soon_shows_all_of_it_thinly(stored):
 
 def test_what_was_read_of_closed_buckets_is_kept(stored, monkeypatch):
     cache = EnvelopeCache()
-    first = read(stored, "ros", ["f"], window=Window(pixels=50), cache=cache)
+    first = read(stored, "ros", ["f"], window=PlotWindow(pixels=50), cache=cache)
     pieces, reads = [], PieceReader.read
 
     def noted(reader, piece, *rest):
@@ -202,28 +202,28 @@ def test_what_was_read_of_closed_buckets_is_kept(stored, monkeypatch):
         return reads(reader, piece, *rest)
 
     monkeypatch.setattr(PieceReader, "read", noted)
-    again = read(stored, "ros", ["f"], window=Window(pixels=50), cache=cache)
+    again = read(stored, "ros", ["f"], window=PlotWindow(pixels=50), cache=cache)
     assert shown(first) == shown(again)
     # Messages of this bucket were deleted: its counts are not final.
     assert {piece.bucket for piece in pieces} == {T0 // SEC + 2}
     pieces.clear()
     # A time range that is slightly moved has the same pixels.
-    aside = Window(T0 + 3 * SEC, time_of(COUNT - 1) + SEC, 50)
+    aside = PlotWindow(T0 + 3 * SEC, time_of(COUNT - 1) + SEC, 50)
     assert shown(read(stored, "ros", ["f"], window=aside, cache=cache))
     assert {piece.bucket for piece in pieces} <= {T0 // SEC + 2}
     # Nor does one that moves with now(), but in the bucket where it begins.
-    whole = Window(time_of(0), time_of(COUNT - 1), 50)
+    whole = PlotWindow(time_of(0), time_of(COUNT - 1), 50)
     for ns in (5, 6):
         pieces.clear()
         read(stored, "ros", ["f"], f"where KEY > {T0 + ns}", window=whole, cache=cache)
     assert {piece.bucket for piece in pieces} <= {T0 // SEC, T0 // SEC + 2}
-    read(stored, "ros", ["d"], window=Window(pixels=50), cache=cache)  # not the same
+    read(stored, "ros", ["d"], window=PlotWindow(pixels=50), cache=cache)  # not the same
     assert len(pieces) > 5
 
 
 def test_a_plot_whose_time_range_moves_with_now_becomes_complete(stored):
     for fmt in ("packed", "ros"):
-        window, cache = Window(time_of(0), time_of(COUNT - 1), 50, 0.0), EnvelopeCache()
+        window, cache = PlotWindow(time_of(0), time_of(COUNT - 1), 50, 0.0), EnvelopeCache()
         for moved in range(200):
             where = f"where f > -1e300 and (i > 3 or i < 9) and KEY > {T0 + moved}"
             series = read(stored, fmt, ["f", "i"], where, window=window, cache=cache)
@@ -285,7 +285,7 @@ def test_rows_of_groups_and_of_a_limit_are_drawn_over_their_time(stored):
     assert found.points.times.tolist() == [row[0].ns for row in rows][::-1]
     assert found.points.low[0].tolist() == [row[1] for row in rows][::-1]
     few = stored.statements.series(
-        statement.format("ros"), window=Window(time_of(200), time_of(300))
+        statement.format("ros"), window=PlotWindow(time_of(200), time_of(300))
     )
     assert few.points.times.tolist() == [T0 + 2 * SEC]
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.topics.overview.timeline.time_cells import (
     MAX_CELLS,
-    Cells,
     Scale,
+    TimeCells,
     TimeRanges,
     gaps_between,
     gaps_in,
@@ -53,11 +53,11 @@ def test_cells_cover_the_window_and_no_shorter_ones_would(scale):
 
 @given(scales, st.lists(times, max_size=50))
 def test_single_messages_lie_in_their_cells(scale, known):
-    cells = Cells(scale)
+    cells = TimeCells(scale)
     cells.add_times(np.array(known, np.int64))
     assert cells.counts.tolist() == cells_by_hand(scale, known)
     assert not cells.even.any()
-    alone = Cells(scale)
+    alone = TimeCells(scale)
     alone.add(time_ranges(*((time, time, 1) for time in known)))
     # If the last cell reaches beyond the end, time ranges after the end are not counted.
     inside = [time for time in known if time <= scale.end]
@@ -67,7 +67,7 @@ def test_single_messages_lie_in_their_cells(scale, known):
 @given(scales, st.lists(st.tuples(times, times, st.integers(2, 400)), max_size=6))
 def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, rows):
     rows = [(min(one, other), max(one, other), count) for one, other, count in rows]
-    cells = Cells(scale)
+    cells = TimeCells(scale)
     cells.add(time_ranges(*rows))
     counts, even = cells.counts, cells.even
     begins = scale.start + np.arange(scale.cells) * scale.step
@@ -94,16 +94,16 @@ def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, row
 
 def test_few_messages_stand_at_their_ends_and_between():
     scale = Scale(T0, T0 + 999, 10)
-    cells = Cells(scale)
+    cells = TimeCells(scale)
     cells.add(time_ranges((T0 + 5, T0 + 985, 3)))
     assert np.flatnonzero(cells.counts).tolist() == [0, 49, 98]
-    zoomed = Cells(Scale(T0 + 400, T0 + 599, 2))
+    zoomed = TimeCells(Scale(T0 + 400, T0 + 599, 2))
     zoomed.add(time_ranges((T0 - 10**15, T0 + 10**15, 100_000)))
     assert zoomed.counts.sum() <= 1  # 20 ms from one to the next
 
 
 def test_what_nobody_counted_is_told():
-    cells = Cells(Scale(T0, T0 + 99, 10))
+    cells = TimeCells(Scale(T0, T0 + 99, 10))
     cells.add(time_ranges((T0 + 20, T0 + 49, 0)))
     assert not cells.counts.any()
     assert time_ranges_of_cells(cells.unknown) == [[2, 4]]

@@ -23,7 +23,7 @@ from cassandra_ros.places.ground_cells import (
 )
 from cassandra_ros.places.paths import (
     LONGEST_GAP_NS,
-    Path,
+    RobotPath,
     clip_ranges,
     merge_ranges,
     subtract_ranges,
@@ -42,7 +42,7 @@ def path_of(poses, start=0):
     """A way through poses, each so long after the one before."""
     times = start + np.cumsum([step for step, _, _ in poses], dtype=np.int64)
     x, y = (np.array([pose[n] for pose in poses]) for n in (1, 2))
-    return Path(times, x, y)
+    return RobotPath(times, x, y)
 
 
 def polygons():
@@ -104,7 +104,7 @@ def test_every_moment_lies_in_a_cell_that_is_visited(poses, region):
 def test_parts_of_a_way_have_the_visits_of_the_whole(poses, cut):
     path, open_visits, found = path_of(poses), OpenVisits(), {}
     for part in (slice(0, cut + 1), slice(cut, None)):
-        for visit in open_visits.visits(Path(path.times[part], path.x[part], path.y[part])):
+        for visit in open_visits.visits(RobotPath(path.times[part], path.x[part], path.y[part])):
             found[visit.cell, visit.low] = visit.high  # as a row that is written again
     for t in moments(path):
         place = path.at(t)
@@ -130,9 +130,9 @@ def test_what_is_known_of_a_way():
     assert path.at(last + 1) == (1e6, 0)
     # Two poses that no robot can have had one after the other.
     assert not list(
-        Path(np.array([0, 2]), np.array([0.0, 1e6]), np.zeros(2)).stays(DiskRegion(9, 0, 1))
+        RobotPath(np.array([0, 2]), np.array([0.0, 1e6]), np.zeros(2)).stays(DiskRegion(9, 0, 1))
     )
-    still = Path.still(1.0, 2.0)
+    still = RobotPath.still(1.0, 2.0)
     assert still.at(10**18) == (1, 2)
 
 

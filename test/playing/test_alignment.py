@@ -13,7 +13,7 @@ from playing.robots import SEC, T0, Robot, played, texts
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.robot_alignment import source_names, valid_name
 from cassandra_ros.playing.stored_ranges import StoredRange
@@ -41,7 +41,7 @@ def fleet(fresh):
 
 
 def test_runs_begin_at_once(fleet):
-    stream = Stream(PlayedKeyspace(fleet.catalog), PlaySelection(["/x"], align_start=True))
+    stream = PlayStream(PlayedKeyspace(fleet.catalog), PlaySelection(["/x"], align_start=True))
     assert (stream.start_ns, stream.end_ns) == (T0, T0 + 3 * SEC)
     assert [(t, text) for _, t, text in played(stream)] == [
         (t, f"{name}{t}") for t in range(4) for name in "dabc"
@@ -49,7 +49,7 @@ def test_runs_begin_at_once(fleet):
 
 
 def test_equal_stamps_keep_their_order(fleet):
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(fleet.catalog), PlaySelection(["/x", "/y"], align_start="run", end=0)
     )
     assert [text for *_, text in played(stream)] == "d0 dy0 a0 ay0 b0 by0 c0 cy0".split()
@@ -57,7 +57,9 @@ def test_equal_stamps_keep_their_order(fleet):
 
 def test_nodes_begin_at_once(fleet):
     found = played(
-        Stream(PlayedKeyspace(fleet.catalog), PlaySelection(["/x"], align_start="node", start=3))
+        PlayStream(
+            PlayedKeyspace(fleet.catalog), PlaySelection(["/x"], align_start="node", start=3)
+        )
     )
     assert [(t, text) for _, t, text in found] == [
         *((3, "d3"), (3, "a3"), (3, "b3")),
@@ -68,11 +70,11 @@ def test_nodes_begin_at_once(fleet):
 def test_seconds_count_on_the_common_line_and_dates_choose(fleet):
     selection = PlaySelection(["/x"], align_start=True, start=1, duration=1)
     assert [
-        text for *_, text in played(Stream(PlayedKeyspace(fleet.catalog), selection))
+        text for *_, text in played(PlayStream(PlayedKeyspace(fleet.catalog), selection))
     ] == "d1 a1 b1 c1 d2 a2 b2 c2".split()
     # From the second message of the second day on: what came before is not chosen.
     selection = PlaySelection(["/x"], align_start=True, start=T0 + (DAY + 1) * SEC)
-    stream = Stream(PlayedKeyspace(fleet.catalog), selection)
+    stream = PlayStream(PlayedKeyspace(fleet.catalog), selection)
     begin = DAY + 1
     assert [(t - begin, text) for _, t, text in played(stream)] == [
         *((0, "d0"), (0, "b1"), (0, "c0"), (1, "d1"), (1, "b2"), (1, "c1")),
@@ -82,20 +84,20 @@ def test_seconds_count_on_the_common_line_and_dates_choose(fleet):
 
 def test_a_condition_decides_what_comes_first(fleet):
     where = {"/x": "data LIKE '%2' OR data LIKE '%3'"}
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(fleet.catalog), PlaySelection(["/x"], align_start=True, where=where)
     )
     assert {p.t for p in stream.messages()} == {T0 + 2 * SEC, T0 + 3 * SEC}
 
 
 def test_each_robot_has_its_prefix(fleet):
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(fleet.catalog), PlaySelection(["/x"], node_prefix=True, prefix="/day")
     )
     wanted = {f"/day{robot}/x" for robot in ("/r1", "/r2", "/run_4")}
     assert {p.topic for p in stream.messages()} == wanted
     assert {channel.topic for channel in stream.channels()} == wanted
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(fleet.catalog), PlaySelection(["/x"], node_prefix=True, align_start=True)
     )
     assert {p.topic: p.row.seq >> 32 for p in stream.messages()} == {
@@ -107,7 +109,7 @@ def test_each_robot_has_its_prefix(fleet):
 
 
 def test_what_each_latched_before_the_start(fleet):
-    stream = Stream(PlayedKeyspace(fleet.catalog), PlaySelection(align_start=True, start=2))
+    stream = PlayStream(PlayedKeyspace(fleet.catalog), PlaySelection(align_start=True, start=2))
     found = stream.latched(stream.start_ns)
     assert texts(p.row for p in found) == ["dmap", "amap", "bmap", "cmap"]
     assert {p.t for p in found} == {T0}
@@ -117,14 +119,14 @@ def test_windows_around_hits_of_all(fleet):
     selection = PlaySelection(
         ["/y"], align_start=True, around="/x: data IN ('a1', 'b3')", before=0, after=0
     )
-    assert [text for *_, text in played(Stream(PlayedKeyspace(fleet.catalog), selection))] == (
+    assert [text for *_, text in played(PlayStream(PlayedKeyspace(fleet.catalog), selection))] == (
         "dy1 ay1 by1 cy1 dy3 ay3 by3 cy3".split()
     )
 
 
 def test_what_is_no_alignment_is_refused(fleet):
     with pytest.raises(InvalidOption, match="neither 'run' nor 'node'"):
-        Stream(PlayedKeyspace(fleet.catalog), PlaySelection(align_start="day"))
+        PlayStream(PlayedKeyspace(fleet.catalog), PlaySelection(align_start="day"))
 
 
 @given(st.text())

@@ -18,7 +18,7 @@ from cassandra_ros.playing import read_ahead
 from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.playback import Playback
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.read_ahead import ReadAhead
@@ -85,7 +85,9 @@ def playing(store):
 
     def start(selection=None, lags=lambda t: False, into=None, **options):
         into = into or Into()
-        stream = Stream(PlayedKeyspace(store.catalog), selection or PlaySelection(topics=["/n"]))
+        stream = PlayStream(
+            PlayedKeyspace(store.catalog), selection or PlaySelection(topics=["/n"])
+        )
         playback = Playback(stream, into, PlayerOptions(**options), lags, lambda played, exc: None)
         thread = threading.Thread(target=playback.run)
         thread.start()
@@ -173,7 +175,7 @@ def test_another_rate_holds_from_now_on(playing):
 
 
 def test_another_rate_does_not_make_up_for_what_is_late(store):
-    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
+    stream = PlayStream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
     playback = Playback(stream, Into(), PlayerOptions(), lambda t: False, lambda played, exc: None)
     ticks = [0]
     playback.pace = Pace(T0, 1.0, lambda: ticks[0])
@@ -202,7 +204,7 @@ def test_time_goes_back_before_what_is_latched_comes_again(rosCas):
         robot.send("/map", 0, "m", latched=True)
         for n in range(1, 10):
             robot.send("/tick", n, str(n))
-    stream, into = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection()), Told()
+    stream, into = PlayStream(PlayedKeyspace(rosCas.catalog), PlaySelection()), Told()
     options = PlayerOptions(paused=True, keep_alive=True)
     playback = Playback(stream, into, options, lambda t: False, lambda played, exc: None)
     thread = threading.Thread(target=playback.run)
@@ -260,7 +262,7 @@ def test_a_step_ends_the_wait_for_what_controls(playing):
 def test_what_is_not_done_in_time_is_told(playing, monkeypatch):
     monkeypatch.setattr(playback_module, "COMMAND_SEC", 0.05)
     monkeypatch.setattr(playback_module, "RETRY_SEC", 0.01)
-    answers, real = threading.Event(), Stream.messages
+    answers, real = threading.Event(), PlayStream.messages
 
     def messages(self, t):
         answers.wait(180)
@@ -271,11 +273,11 @@ def test_what_is_not_done_in_time_is_told(playing, monkeypatch):
             raise StoreUnavailable("away")
         return []
 
-    monkeypatch.setattr(Stream, "messages", messages)
+    monkeypatch.setattr(PlayStream, "messages", messages)
     run = playing(paused=True, keep_alive=True)
     with pytest.raises(InvalidOption, match="0 of 3 messages were published: no more within"):
         run.playback.step(3)
-    monkeypatch.setattr(Stream, "latched", latched)
+    monkeypatch.setattr(PlayStream, "latched", latched)
     with pytest.raises(InvalidOption, match="the replay is not there after"):
         run.playback.seek(T0 + 30 * STEP)
     answers.set()
@@ -302,7 +304,7 @@ def test_it_pauses_before_messages_of_a_topic(playing):
 
 
 def test_nothing_to_play_says_why(playing, store):
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"], start=0.01, duration=0.02)
     )
     nothing = Playback(stream, Into(), PlayerOptions(), lambda t: False, lambda played, exc: None)
@@ -328,7 +330,7 @@ def taken(reader, changed, look=lambda played: None):
 def test_a_store_that_is_away_for_a_while(store, monkeypatch, selection):
     """Reading goes on after the last message, also between messages of equal times."""
     monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.01)
-    stream = Stream(PlayedKeyspace(store.catalog), selection)
+    stream = PlayStream(PlayedKeyspace(store.catalog), selection)
     every = list(stream.messages(T0))
     changed, failures = threading.Condition(), iter(range(1, 6))
 
@@ -357,7 +359,7 @@ def test_what_was_read_needs_no_store_when_it_is_due(store, monkeypatch):
         return real(self)
 
     monkeypatch.setattr(StoredRow, "connection", property(connection))
-    stream = Stream(PlayedKeyspace(store.catalog), BOTH)
+    stream = PlayStream(PlayedKeyspace(store.catalog), BOTH)
     changed = threading.Condition()
     reader = ReadAhead(stream.messages, T0, 1 << 20, changed, lambda played, exc: None)
     known = []  # whether its header was read when the message was taken
@@ -375,7 +377,7 @@ def test_what_is_latched_may_be_away_or_gone(rosCas, monkeypatch):
         robot.send("/tick", 9, "t")
     failures = iter((StoreUnavailable("away"), StoreUnavailable("away")))
 
-    class Flaky(Stream):
+    class Flaky(PlayStream):
         def latched(self, t):
             for failure in failures:
                 raise failure
@@ -391,7 +393,7 @@ def test_what_is_latched_may_be_away_or_gone(rosCas, monkeypatch):
 
 
 def test_no_more_is_read_ahead_than_the_budget(store):
-    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
+    stream = PlayStream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
     changed, begun = threading.Condition(), threading.Event()
     taken = []
 
@@ -417,7 +419,7 @@ def test_no_more_is_read_ahead_than_the_budget(store):
 
 
 def test_who_reads_ends_where_it_is_closed_with_its_budget_used_up(store):
-    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
+    stream = PlayStream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
     ended = threading.Event()
 
     def begin(t):

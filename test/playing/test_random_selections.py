@@ -18,7 +18,7 @@ from suites import search
 from cassandra_ros import Fleet
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_fleet import PlayedFleet
 from cassandra_ros.playing.played_store import PlayedKeyspace
 
@@ -172,9 +172,9 @@ def test_what_is_played(recordings, selection, at):
     wanted = expected(every, selection)
     if isinstance(wanted, type):
         with pytest.raises(wanted):
-            Stream(store, selection)
+            PlayStream(store, selection)
         return
-    stream = Stream(store, selection)
+    stream = PlayStream(store, selection)
     found = list(stream.messages())
 
     def shown(played):

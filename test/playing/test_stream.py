@@ -23,7 +23,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames
-from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.topics.overview.latched_messages import latched_before
 
@@ -55,7 +55,7 @@ def fill(rosCas):
 
 
 def test_all_topics_in_one_order(filled):
-    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(end=f"{T0 + 2 * SEC}"))
+    stream = PlayStream(PlayedKeyspace(filled.catalog), PlaySelection(end=f"{T0 + 2 * SEC}"))
     assert played(stream) == [
         ("/static", 0, "s1"),
         ("/tick", 0, "t0"),
@@ -94,7 +94,7 @@ def test_all_topics_in_one_order(filled):
 )
 def test_what_is_chosen(filled, selection, expected):
     assert (
-        texts(p.row for p in Stream(PlayedKeyspace(filled.catalog), selection).messages())
+        texts(p.row for p in PlayStream(PlayedKeyspace(filled.catalog), selection).messages())
         == expected
     )
 
@@ -103,7 +103,7 @@ def test_what_is_chosen(filled, selection, expected):
     ("end", "told"), [("4000000000", True), ("2018-07-13", False), (10**8, False)]
 )
 def test_an_end_far_behind_the_messages_is_told(filled, caplog, end, told):
-    Stream(PlayedKeyspace(filled.catalog), PlaySelection(["/tick"], end=end))
+    PlayStream(PlayedKeyspace(filled.catalog), PlaySelection(["/tick"], end=end))
     assert ("after the last selected message" in caplog.text) == told
 
 
@@ -133,7 +133,7 @@ def test_an_end_far_behind_the_messages_is_told(filled, caplog, end, told):
 )
 def test_bad_input_is_named(filled, selection, error, text):
     with pytest.raises(error, match=text):
-        Stream(PlayedKeyspace(filled.catalog), selection)
+        PlayStream(PlayedKeyspace(filled.catalog), selection)
 
 
 def test_a_topic_that_cannot_be_read_here_is_left_out(cassandra, keyspace, rosCas, caplog):
@@ -146,10 +146,10 @@ def test_a_topic_that_cannot_be_read_here_is_left_out(cassandra, keyspace, rosCa
     rosCas.cassandra.schema_change(f"ALTER TABLE {name} WITH comment = '{comment}'", what="test")
     with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as other:
         assert [
-            p.topic for p in Stream(PlayedKeyspace(other.catalog), PlaySelection()).messages()
+            p.topic for p in PlayStream(PlayedKeyspace(other.catalog), PlaySelection()).messages()
         ] == ["/good"]
         with pytest.raises(DefinitionError):
-            Stream(PlayedKeyspace(other.catalog), PlaySelection(["/good", "/bad"]))
+            PlayStream(PlayedKeyspace(other.catalog), PlaySelection(["/good", "/bad"]))
     assert "topic /bad is left out, it cannot be read here" in caplog.text
 
 
@@ -166,7 +166,7 @@ def test_names():
 
 
 def test_channels_come_from_the_connections(filled):
-    channels = Stream(PlayedKeyspace(filled.catalog), PlaySelection(prefix="/again")).channels()
+    channels = PlayStream(PlayedKeyspace(filled.catalog), PlaySelection(prefix="/again")).channels()
     assert [(c.topic, c.type, c.latched) for c in channels] == [
         ("/again/static", "std_msgs/String", True),
         ("/again/tick", "std_msgs/String", False),
@@ -176,15 +176,15 @@ def test_channels_come_from_the_connections(filled):
 
 
 def test_what_was_latched_before_the_start(filled):
-    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(nodeID="r1", start=2))
+    stream = PlayStream(PlayedKeyspace(filled.catalog), PlaySelection(nodeID="r1", start=2))
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["s2", "s3"]
     # Before its start nothing is played.
     assert texts(p.row for p in stream.latched(T0 + SEC)) == ["s2", "s3"]
-    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(nodeID="r1"))
+    stream = PlayStream(PlayedKeyspace(filled.catalog), PlaySelection(nodeID="r1"))
     assert texts(p.row for p in stream.latched(T0 + SEC)) == ["s1", "s2"]
     assert texts(p.row for p in stream.latched(T0)) == []
     # A run that has nothing in the window gives nothing.
-    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(start=86_402))
+    stream = PlayStream(PlayedKeyspace(filled.catalog), PlaySelection(start=86_402))
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["z1"]
     # The topic alone was sent once, long before.
     assert texts(before(filled, T0 + 9 * SEC, ["/static"], run="run 1")) == [
@@ -299,7 +299,7 @@ def test_topics_without_messages_in_the_time_that_is_played_have_no_channel(fill
         ({"start": 86_402}, ["/static", "/tick"]),
         ({"end": 8, "nodeID": "r1", "start": 7}, ["/static", "/tick", "/tock"]),
     ):
-        stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(**options))
+        stream = PlayStream(PlayedKeyspace(filled.catalog), PlaySelection(**options))
         assert [channel.topic for channel in stream.channels()] == topics, options
 
 
@@ -310,7 +310,7 @@ def test_the_type_that_is_played_is_that_of_the_time_that_is_played(rosCas):
             handle = writer.connect(connection)
             writer.write(handle, T0 + day * 86_400 * SEC, 0, serialize(kind()))
     for options, kind in (({"end": 1}, String), ({"start": 86_399}, Int64)):
-        stream = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection(**options))
+        stream = PlayStream(PlayedKeyspace(rosCas.catalog), PlaySelection(**options))
         assert [channel.type for channel in stream.channels()] == [kind._type]
 
 
@@ -326,6 +326,6 @@ def test_the_first_type_of_a_topic_is_that_of_its_first_message(rosCas):
         ({"start": 2.5}, (Int64, String)),
         ({"start": 5}, (String,)),
     ):
-        stream = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection(**options))
+        stream = PlayStream(PlayedKeyspace(rosCas.catalog), PlaySelection(**options))
         channels = [channel.type for channel in stream.channels()]
         assert channels == [kind._type for kind in kinds], options

@@ -21,7 +21,7 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.playing import read_ahead
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.read import TimeRange
@@ -60,7 +60,7 @@ AROUND = PlaySelection(around="/battery: data = 'low'", before=2, after=1.5)
 
 
 def test_only_what_is_near_a_hit_is_played(filled):
-    stream = Stream(PlayedKeyspace(filled.catalog), AROUND)
+    stream = PlayStream(PlayedKeyspace(filled.catalog), AROUND)
     wanted = [(T0 + 18 * SEC, T0 + 24 * SEC + SEC // 2), (T0 + 58 * SEC, T0 + 61 * SEC + SEC // 2)]
     assert stream.windows == wanted
     assert stream.start_ns == wanted[0][0]
@@ -73,7 +73,7 @@ def test_only_what_is_near_a_hit_is_played(filled):
 
 
 def test_a_window_begins_with_what_was_latched_in_the_gap(filled):
-    stream = Stream(PlayedKeyspace(filled.catalog), AROUND)
+    stream = PlayStream(PlayedKeyspace(filled.catalog), AROUND)
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["m0"]
     maps = [(t, text) for topic, t, text in played(stream) if topic == "/map"]
     # m24 was played in the first window; of the gap's two the last, as the window begins.
@@ -89,7 +89,7 @@ def test_nothing_is_latched_anew_where_nothing_changed(filled):
     again = PlaySelection(
         ["/map", "/tick"], around=("/tick", ("data IN (?, ?)", ["t24", "t30"])), before=1, after=0
     )
-    assert played(Stream(PlayedKeyspace(filled.catalog), again)) == [
+    assert played(PlayStream(PlayedKeyspace(filled.catalog), again)) == [
         ("/tick", 23.5, "t23"),
         ("/map", 24.25, "m24"),
         ("/tick", 24.5, "t24"),
@@ -107,7 +107,7 @@ def test_a_store_that_goes_away_between_what_was_latched_in_a_gap(rosCas, monkey
                 robot.send(topic, hit - 5 + n, f"{topic}{hit}", latched=True)
             robot.send("/hit", hit, "now")
             robot.send("/tick", hit, "now")
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(rosCas.catalog),
         PlaySelection(around="/hit: data = 'now'", before=0, after=1),
     )
@@ -141,7 +141,7 @@ def taken(begin, t):
 def test_start_and_end_bound_the_windows(filled):
     selection = PlaySelection(["/tick"], around=AROUND.around, before=2, after=2, start=21, end=60)
     # Seconds count from the first tick, at 0.5.
-    stream = Stream(PlayedKeyspace(filled.catalog), selection)
+    stream = PlayStream(PlayedKeyspace(filled.catalog), selection)
     assert stream.windows == [
         (T0 + 21 * SEC + SEC // 2, T0 + 25 * SEC),
         (T0 + 58 * SEC, T0 + 60 * SEC + SEC // 2),
@@ -149,16 +149,16 @@ def test_start_and_end_bound_the_windows(filled):
 
 
 def test_windows_that_touch_are_one(filled):
-    whole = Stream(
+    whole = PlayStream(
         PlayedKeyspace(filled.catalog),
         PlaySelection(around="/battery: data > 'a'", before=0.5, after=0.5),
     )
-    assert played(whole) == played(Stream(PlayedKeyspace(filled.catalog), PlaySelection()))
+    assert played(whole) == played(PlayStream(PlayedKeyspace(filled.catalog), PlaySelection()))
     assert whole.windows == [(T0, whole.end_ns)]
 
 
 def channels(store, **options):
-    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(**options))
+    stream = PlayStream(PlayedKeyspace(store.catalog), PlaySelection(**options))
     return stream, [channel.topic for channel in stream.channels()]
 
 
@@ -228,7 +228,7 @@ def test_what_is_announced_of_events(rosCas):
 def test_bad_input_is_named(filled, changes, error, text):
     selection = PlaySelection(**{"around": AROUND.around, **changes})
     with pytest.raises(error, match=text):
-        Stream(PlayedKeyspace(filled.catalog), selection)
+        PlayStream(PlayedKeyspace(filled.catalog), selection)
 
 
 def test_what_one_latched_while_only_the_other_played(rosCas):
@@ -238,7 +238,7 @@ def test_what_one_latched_while_only_the_other_played(rosCas):
             if t != 30:
                 two.send("/tick", t, "t")
         two.send("/map", 20, "m", latched=True)
-    stream = Stream(
+    stream = PlayStream(
         PlayedKeyspace(rosCas.catalog), PlaySelection(around="/hit: data = 'h'", before=1, after=1)
     )
     assert [(t, text) for _, t, text in played(stream)] == [

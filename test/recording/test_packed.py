@@ -12,7 +12,7 @@ from std_msgs.msg import Header, String
 
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.recording.topic_settings import Settings, TopicSettings
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 
 T0 = 1_500_000_000 * 10**9
 STEP = 2_000_000
@@ -30,7 +30,7 @@ def header(cls, callerid="/publisher"):
 
 def recording(rosCas, **options):
     ticks = itertools.count(T0, STEP)
-    settings = Settings(TopicSettings("packed"))
+    settings = RecordingSettings(TopicSettings("packed"))
     return Recording(rosCas.catalog, clock=lambda: next(ticks), settings=settings, **options)
 
 
@@ -79,7 +79,7 @@ def test_what_waits_in_blocks_is_stored_at_the_end(rosCas, cql):
 def test_a_topic_whose_key_is_no_time_is_recorded_in_the_format_that_it_has(rosCas, caplog):
     rosCas.addTopic("/map", "binary", msg_type="std_msgs/String", key_format="manual")
     rules = [[("/by_name", {"key_part": "frame_id"}), ("/found", {"index": ("data",)})]]
-    settings = Settings(TopicSettings("packed"), rules)
+    settings = RecordingSettings(TopicSettings("packed"), rules)
     running = Recording(rosCas.catalog, clock=itertools.count(T0, STEP).__next__, settings=settings)
     for topic, cls in (("/map", String), ("/by_name", Header), ("/found", String)):
         assert running.received(topic, header(cls), serialize(cls()))

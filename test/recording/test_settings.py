@@ -19,7 +19,7 @@ from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.option_values import SnapshotBound, read_bound
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.topic_settings import Settings, TopicSettings, read_settings
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings, read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
@@ -31,7 +31,7 @@ def settings_of(text, **options):
 
 def test_the_example():
     rules = read_settings((ROOT / "config/recorder.yaml").read_text(encoding="utf-8"))
-    of = Settings(TopicSettings("json", 60), [rules]).of
+    of = RecordingSettings(TopicSettings("json", 60), [rules]).of
     camera = TopicSettings("binary", 86400, 5.0)
     assert of("/front/image_raw") == of("/lidar/points/filtered") == camera
     assert of("/imu/data") == TopicSettings("packed", 60)

@@ -20,7 +20,7 @@ from cassandra_ros import CassandraRosError
 from cassandra_ros.client.spark import topic as spark_topic
 from cassandra_ros.client.spark import topic_frame
 from cassandra_ros.client.spark.part_plan import BucketRange, pack, plan_parts
-from cassandra_ros.client.spark.part_reader import PartReader, Selection
+from cassandra_ros.client.spark.part_reader import FrameSelection, PartReader
 from cassandra_ros.client.spark.spark_types import spark_batch, spark_schema
 from cassandra_ros.client.spark.store_login import StoreLogin
 from cassandra_ros.errors import (
@@ -63,7 +63,7 @@ def parts_of(ros_cas, name, start=None, end=None, nodes=None, run=None, part_byt
 
 def read_parts(ros_cas, name, fields=None, where=None, part_bytes=1000, **bounds):
     """Return what all executors read, as a table, and the number of partitions."""
-    selection = Selection(name, fields, where, bounds.get("run"))
+    selection = FrameSelection(name, fields, where, bounds.get("run"))
     schema = selection.reader(ros_cas.getTopic(name)).schema
     parts = parts_of(ros_cas, name, part_bytes=part_bytes, **bounds)
     reader = PartReader(login_of(ros_cas), selection, parts, schema)
@@ -255,7 +255,7 @@ def test_bounds_that_cannot_be(stored, bounds, error):
 def test_another_type_in_the_meantime(rosCas):
     first = parse_definition("t/One", "float64 x\n", None)
     store(rosCas, "/a", first, [bytes(8)])
-    selection = Selection("/a", None, None, None)
+    selection = FrameSelection("/a", None, None, None)
     schema = selection.reader(rosCas.getTopic("/a")).schema
     reader = PartReader(login_of(rosCas), selection, parts_of(rosCas, "/a"), schema)
     store(rosCas, "/a", parse_definition("t/Two", "int8 y\n", None), [bytes(1)], writer_id=2)

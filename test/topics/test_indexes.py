@@ -27,7 +27,7 @@ from cassandra_ros.messages.formats.table import FORMATS, format_class
 from cassandra_ros.messages.index_field import MAX_ELEMENTS
 from cassandra_ros.store.rows import writer as writer_module
 from cassandra_ros.store.tables.directory import Directory
-from cassandra_ros.store.tables.schema import Listing
+from cassandra_ros.store.tables.schema import TableListing
 from cassandra_ros.topics import indexes
 
 SEC = 10**9
@@ -200,7 +200,7 @@ def test_an_import_that_is_repeated_fills_only_what_it_filled_before(rosCas, mon
     topic.removeIndex("data")
     with schema.lock() as lock:
         schema.set_comment(table.name, listed, lock)
-    old = Listing({table.name: listed.with_(indexes={})})
+    old = TableListing({table.name: listed.with_(indexes={})})
     with monkeypatch.context() as deaf:  # a change that a server pushes may be late, and comes then
         deaf.setattr(schema, "listing", lambda *, fresh=False: old)
         store(rosCas, "/t", texts(10), **again)

@@ -558,7 +558,7 @@ def test_what_is_deleted_between_copy_and_switch_does_not_come_back(rosCas, monk
         count = compare(self)
         if not deleted:
             with monkeypatch.context() as earlier:
-                earlier.setattr(schema.Listing, "check_staying", lambda self, table: None)
+                earlier.setattr(schema.TableListing, "check_staying", lambda self, table: None)
                 deleted.append(topic.removeData(T0, T0))
         return count
 

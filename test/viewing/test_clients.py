@@ -16,7 +16,7 @@ from viewers import running_viewer
 from viewing.test_handler_threads import MIB, Endless, route
 
 from cassandra_ros.viewing.answers import Bytes
-from cassandra_ros.viewing.viewer_settings import Limits
+from cassandra_ros.viewing.viewer_settings import ClientLimits
 
 BIG = bytes(16 * MIB)
 UNHURRIED = {"head_sec": 600.0, "idle_sec": 600.0, "stalled_sec": 600.0}
@@ -70,7 +70,7 @@ def test_who_trickles_a_head_is_disconnected():
         begun.set()
         return int(go_on.wait(180))
 
-    limits = Limits(head_sec=0.3)
+    limits = ClientLimits(head_sec=0.3)
     with running_viewer(None, [route("/api/slow", slow)], limits=limits) as viewer:
         asking = asked_in_time(viewer, begun)
         with connected(viewer, 20, b"GET /api/slow HTTP/1.1\r\nHost: 127.0.0.1\r\nX-A: ") as many:
@@ -93,7 +93,7 @@ def test_who_trickles_a_head_is_disconnected():
 
 
 def test_an_idle_connection_is_closed():
-    limits = Limits(head_sec=600.0, idle_sec=0.3)
+    limits = ClientLimits(head_sec=600.0, idle_sec=0.3)
     with running_viewer(None, [route("/api/one", lambda call: 1)], limits=limits) as viewer:
         head = b"GET /api/one HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
         with connected(viewer, head=head) as (sock,):
@@ -105,7 +105,7 @@ def test_an_idle_connection_is_closed():
 def test_too_many_clients_are_told_so():
     go_on = threading.Event()
     routes = [route("/api/wait", lambda call: int(go_on.wait(180)))]
-    with running_viewer(None, routes, limits=Limits(clients=3, **UNHURRIED)) as viewer:
+    with running_viewer(None, routes, limits=ClientLimits(clients=3, **UNHURRIED)) as viewer:
         with connected(viewer, 3) as (first, *_):
             found = viewer.ask("/api/wait")
             assert (found.status, found.headers["Connection"]) == (503, "close")
@@ -119,7 +119,7 @@ def test_too_many_clients_are_told_so():
 
 
 def test_a_burst_of_clients_is_no_way_round_the_limit():
-    limits = Limits(clients=5, **UNHURRIED)
+    limits = ClientLimits(clients=5, **UNHURRIED)
     with running_viewer(None, [route("/api/one", lambda call: 1)], limits=limits) as v:
         with connected(v, 40, b"GET /api/one HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n") as every:
             answers = [sock.recv(12) for sock in every]
@@ -128,7 +128,7 @@ def test_a_burst_of_clients_is_no_way_round_the_limit():
 
 def test_who_does_not_read_a_stream_is_disconnected():
     endless = Endless()
-    limits = Limits(stalled_sec=0.5)
+    limits = ClientLimits(stalled_sec=0.5)
     with running_viewer(None, [route("/endless", endless.answer)], limits=limits) as viewer:
         head = b"GET /endless HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
         with connected(viewer, head=head, buffer=4096):
@@ -136,7 +136,7 @@ def test_who_does_not_read_a_stream_is_disconnected():
 
 
 def test_answers_that_are_not_read_are_held_within_a_bound():
-    limits = Limits(answers_bytes=4 * len(BIG), **UNHURRIED)
+    limits = ClientLimits(answers_bytes=4 * len(BIG), **UNHURRIED)
     routes = [route("/big", lambda call: Bytes(BIG)), route("/api/one", lambda call: 1)]
     head = b"GET /big HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     with running_viewer(None, routes, limits=limits) as viewer:
@@ -158,7 +158,7 @@ def test_answers_that_are_not_read_are_held_within_a_bound():
 
 
 def test_one_that_does_not_read_gives_back_what_it_held():
-    limits = Limits(answers_bytes=len(BIG), stalled_sec=0.5)
+    limits = ClientLimits(answers_bytes=len(BIG), stalled_sec=0.5)
     head = b"GET /big HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     with running_viewer(
         None, [route("/big", lambda call: Bytes(BIG))], limits=limits
@@ -179,7 +179,7 @@ def test_one_that_does_not_read_gives_back_what_it_held():
 def test_a_stream_that_finds_no_room_is_refused_and_never_sent_in_part():
     endless = Endless(b"x" * 2 * MIB)
     routes = [route("/big", lambda call: Bytes(BIG)), route("/endless", endless.answer)]
-    limits = Limits(answers_bytes=len(BIG) + MIB, **UNHURRIED)
+    limits = ClientLimits(answers_bytes=len(BIG) + MIB, **UNHURRIED)
     with running_viewer(None, routes, limits=limits) as viewer:
         with connected(viewer, head=b"GET /big HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", buffer=4096):
             await_true(lambda: viewer.ask("/big", method="HEAD").status == 503)

@@ -15,7 +15,7 @@ from viewers import running_viewer
 from cassandra_ros import errors
 from cassandra_ros.errors import CassandraRosError, InvalidQuery, StoreUnavailable, TopicNotFound
 from cassandra_ros.viewing import handler_threads
-from cassandra_ros.viewing.answers import Bytes, Stream
+from cassandra_ros.viewing.answers import Bytes, StreamedBody
 from cassandra_ros.viewing.application import status_of
 from cassandra_ros.viewing.route import Parameter, Route
 
@@ -43,7 +43,7 @@ class Endless:
             self.closed.set()
 
     def answer(self, call):
-        return Stream(self.chunks(), "application/x-endless")
+        return StreamedBody(self.chunks(), "application/x-endless")
 
 
 def fail(error):
@@ -62,8 +62,8 @@ def test_what_a_handler_returns_is_sent():
     routes = [
         route("/api/json", lambda call: {"a": [1, None, "ü\ud800"], "ns": "1368021980238582676"}),
         route("/bytes", lambda call: Bytes(b"\x00\xff", "image/png", {"X-Width": "7"})),
-        route("/stream", lambda call: Stream(some(), "text/plain", {"X-Total": "4"})),
-        route("/none", lambda call: Stream(iter(()), "text/plain")),
+        route("/stream", lambda call: StreamedBody(some(), "text/plain", {"X-Total": "4"})),
+        route("/none", lambda call: StreamedBody(iter(()), "text/plain")),
     ]
     with running_viewer(None, routes) as viewer:
         assert viewer.get("/api/json")["ns"] == "1368021980238582676"
@@ -131,8 +131,8 @@ def test_a_stream_that_fails_tells_it_before_its_first_chunk_and_is_cut_behind()
         raise StoreUnavailable("it is away")
 
     routes = [
-        route("/early", lambda call: Stream(broken([]))),
-        route("/late", lambda call: Stream(broken([b"x" * 1000]))),
+        route("/early", lambda call: StreamedBody(broken([]))),
+        route("/late", lambda call: StreamedBody(broken([b"x" * 1000]))),
     ]
     with running_viewer(None, routes) as viewer:
         found = viewer.ask("/early")
@@ -147,7 +147,7 @@ def test_a_stream_that_the_end_cut_off_does_not_look_complete():
         yield b"x"
         call.gone.wait(180)
 
-    routes = [route("/listens", lambda call: Stream(chunks(call)))]
+    routes = [route("/listens", lambda call: StreamedBody(chunks(call)))]
     with running_viewer(None, routes) as viewer:
         connection = viewer.connect()
         connection.request("GET", "/listens")

@@ -231,7 +231,7 @@ def main() -> int:
         if options.no_services and not keyboard.is_there:
             _require_no_pause(options)
         shows = not options.quiet and sys.stdout.isatty()
-        line = StatusLine(shows, hint=not options.quiet and keyboard.is_there)
+        line = PlayerStatusLine(shows, hint=not options.quiet and keyboard.is_there)
         state = play(store, selection, player_options, sys.argv, say, line.show, keyboard.pressed)
         line.end()
     say(closing_line(state))
@@ -248,7 +248,7 @@ def _require_no_pause(options: argparse.Namespace) -> None:
         )
 
 
-class StatusLine:
+class PlayerStatusLine:
     """The status line of rosbag play: state and current time. It is shown on a terminal only.
 
     Args:

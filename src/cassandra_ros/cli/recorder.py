@@ -44,7 +44,12 @@ from cassandra_ros.cli.readers import (
     truth,
     whole_number,
 )
-from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
+from cassandra_ros.cli.recorder_report import (
+    RecorderStatusLine,
+    closing_table,
+    failures,
+    plan_table,
+)
 from cassandra_ros.cli.script import end_now
 from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.cli.topic_options import add_exclude_option
@@ -390,7 +395,7 @@ def main() -> int:
 
     options = parser.parse_args([*words_of(parser, start_node(sys.argv), given), *words])
     chosen = read_options(parser, options)
-    line = StatusLine(sys.stdout if not options.quiet and sys.stdout.isatty() else None)
+    line = RecorderStatusLine(sys.stdout if not options.quiet and sys.stdout.isatty() else None)
     say = partial(line.say, quiet=options.quiet)
     if options.dry_run:
         options.wait = 0.0 if math.isinf(options.wait) else options.wait

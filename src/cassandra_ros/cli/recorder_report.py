@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _CLEAR = "\r\033[K"
 
 
-class StatusLine:
+class RecorderStatusLine:
     """A line at the bottom of the terminal with the state of the recording.
 
     A terminal that is gone, or a pipe whose reader has ended, does not end the recording.

@@ -16,10 +16,10 @@ from cassandra_ros.query.tree.syntax import (
     Compare,
     Either,
     Expression,
+    FieldPath,
     IsNull,
     Leaf,
     Negation,
-    Path,
     Quantified,
     Relate,
     conjuncts,
@@ -135,7 +135,7 @@ def _alone(condition: Expression | None, pushed: set[Leaf]) -> Iterator[str]:
     """Yield the parts of a condition that the server did not check at all."""
     for part in conjuncts(condition):
         terms = chain.from_iterable(map(terms_of, leaves(part)))
-        fields = any(isinstance(p, Path) for term in terms for p in inside(term))
+        fields = any(isinstance(p, FieldPath) for term in terms for p in inside(term))
         if fields and not pushed.intersection(leaves(part)):
             yield _shown(part)
 

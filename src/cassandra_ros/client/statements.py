@@ -41,9 +41,9 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.overview.envelopes import EnvelopeCache
 from cassandra_ros.topics.overview.plot_series import (
     WHOLE,
+    PlotWindow,
     Series,
     SeriesRequest,
-    Window,
     read_series,
 )
 from cassandra_ros.topics.query_result import Condition, Cursor, QueryResult, Rows
@@ -135,7 +135,7 @@ class Statements:
         self,
         statement: str | Select,
         params: Sequence[Any] = (),
-        window: Window = WHOLE,
+        window: PlotWindow = WHOLE,
         *,
         node: str | None = None,
         run: RunName = None,

@@ -19,7 +19,7 @@ from cassandra_ros.local_server import preflight, processes
 from cassandra_ros.local_server.cluster_settings import (
     MIN_HEAP_MB,
     SETTINGS_FILE,
-    Settings,
+    ClusterSettings,
     change_settings,
     free_memory_mb,
     load_settings,
@@ -398,7 +398,7 @@ class LocalCluster:
                 time.sleep(_STAGGER_SEC)
             self._start_node(replace(node, settings=self.settings), java, die_with_us)
 
-    def _secure(self, asleep: list[Node], java: str, before: Settings | None) -> None:
+    def _secure(self, asleep: list[Node], java: str, before: ClusterSettings | None) -> None:
         """Make what a login needs; if that fails, the cluster keeps its earlier settings."""
         try:
             self.security.make_files(java)

@@ -33,7 +33,7 @@ LOGIN_DIRECTORY = "login"
 
 
 @dataclass(frozen=True)
-class Settings:
+class ClusterSettings:
     """The settings that are stored in the directory of a cluster."""
 
     cluster_name: str
@@ -93,12 +93,12 @@ def _memory_bytes() -> int:
         return memory
 
 
-def new_settings() -> Settings:
+def new_settings() -> ClusterSettings:
     """Return the default settings, for a new cluster."""
-    return Settings(cluster_name=f"cassandra_ros_{uuid.uuid4().hex[:8]}")
+    return ClusterSettings(cluster_name=f"cassandra_ros_{uuid.uuid4().hex[:8]}")
 
 
-def load_settings(directory: Path) -> Settings | None:
+def load_settings(directory: Path) -> ClusterSettings | None:
     """Return the settings of the cluster in a directory; None = there is no cluster.
 
     Raises:
@@ -110,8 +110,8 @@ def load_settings(directory: Path) -> Settings | None:
         foreign = _foreign(directory)
         with open(open_regular(path), encoding="utf-8") as file:
             values = json.loads(file.read(_MAX_CHARS))
-        types = {field.name: field.type for field in fields(Settings)}
-        settings = Settings(**{name: values[name] for name in types if name in values})
+        types = {field.name: field.type for field in fields(ClusterSettings)}
+        settings = ClusterSettings(**{name: values[name] for name in types if name in values})
         for name, kind in types.items():
             if type(getattr(settings, name)).__name__ != kind:
                 raise TypeError(f"{name} is no {kind}")
@@ -130,7 +130,7 @@ def load_settings(directory: Path) -> Settings | None:
     return check_settings(settings)
 
 
-def save_settings(directory: Path, settings: Settings) -> None:
+def save_settings(directory: Path, settings: ClusterSettings) -> None:
     """Write the settings atomically: a crash leaves either the old or the new ones."""
     draft = directory / _DRAFT
     with open(new_file(draft), "w", encoding="utf-8") as file:
@@ -141,13 +141,13 @@ def save_settings(directory: Path, settings: Settings) -> None:
 
 
 def change_settings(
-    settings: Settings,
+    settings: ClusterSettings,
     nodes: int | None = None,
     host: str | None = None,
     port: int | None = None,
     heap: str | None = None,
     secure: bool | None = None,
-) -> Settings:
+) -> ClusterSettings:
     """Return the settings with the options that are not None, checked.
 
     Raises:
@@ -172,7 +172,7 @@ def parse_heap(text: str) -> int:
     return int(found.group(1)) * (1024 if found.group(2) in ("g", "G") else 1)
 
 
-def check_settings(settings: Settings) -> Settings:
+def check_settings(settings: ClusterSettings) -> ClusterSettings:
     """Return the settings if a cluster can be started with them.
 
     Raises:

@@ -12,7 +12,7 @@ from pathlib import Path
 import psutil
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server.cluster_settings import Settings, load_settings
+from cassandra_ros.local_server.cluster_settings import ClusterSettings, load_settings
 from cassandra_ros.local_server.jars import default_directory
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.preflight import log_since, log_size
@@ -93,7 +93,7 @@ def full_disk(directory: Path) -> str:
     return ""
 
 
-def _settings(directory: Path) -> Settings | None:
+def _settings(directory: Path) -> ClusterSettings | None:
     try:
         return load_settings(directory)
     except ServerError:

@@ -11,7 +11,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from cassandra_ros.local_server.cluster_settings import Settings
+from cassandra_ros.local_server.cluster_settings import ClusterSettings
 from cassandra_ros.local_server.cql import answers_cql
 from cassandra_ros.local_server.jars import server_file
 from cassandra_ros.local_server.java_programs import module_options
@@ -61,7 +61,7 @@ class Node:
     directory: Path
     """Directory of the node: absolute and without symbolic links, so that its process can be
     identified by the command line."""
-    settings: Settings
+    settings: ClusterSettings
     replaced: bool = False
     """Whether this start copies the data that the node has lost from the other nodes."""
     archive: Path | None = None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import ports, processes
-from cassandra_ros.local_server.cluster_settings import Settings
+from cassandra_ros.local_server.cluster_settings import ClusterSettings
 from cassandra_ros.local_server.cql import answers_cql
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.own_files import open_regular
@@ -49,7 +49,9 @@ def make_directory(directory: Path, nodes: int, *, holds_data: bool = False) -> 
         ) from exc
 
 
-def check_change(directory: Path, old: Settings, new: Settings, running: bool) -> None:
+def check_change(
+    directory: Path, old: ClusterSettings, new: ClusterSettings, running: bool
+) -> None:
     """Refuse options that contradict the running cluster or the stored data.
 
     Raises:
@@ -107,7 +109,7 @@ def check_port(node: Node) -> None:
     raise ServerError(text)
 
 
-def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
+def choose_storage_port(settings: ClusterSettings, addresses: list[str]) -> int:
     """Return a port for the traffic between the nodes that is free on all their addresses."""
     known = settings.storage_port
     if known and all(ports.await_the_dead(address, known) for address in addresses):

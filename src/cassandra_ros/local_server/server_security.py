@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Sequence
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server.cluster_settings import LOGIN_DIRECTORY, Settings
+from cassandra_ros.local_server.cluster_settings import LOGIN_DIRECTORY, ClusterSettings
 from cassandra_ros.local_server.cql import CqlSession, may_log_in
 from cassandra_ros.local_server.java_programs import run_to_end
 from cassandra_ros.local_server.superuser import set_superuser
@@ -46,7 +46,7 @@ class Security:
         settings: Settings of the cluster.
     """
 
-    def __init__(self, directory: Path, settings: Settings) -> None:
+    def __init__(self, directory: Path, settings: ClusterSettings) -> None:
         self.folder = directory / LOGIN_DIRECTORY
         self._settings = settings
 

@@ -22,7 +22,7 @@ from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscription import subscribe
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import PlayedMessage, Stream
+from cassandra_ros.playing.play_stream import PlayedMessage, PlayStream
 from cassandra_ros.playing.play_times import PlayTime, read_when
 from cassandra_ros.playing.playback import ENDED, Playback
 from cassandra_ros.playing.played_fleet import PlayedFleet
@@ -86,7 +86,7 @@ class Player:
     ) -> None:
         self.options = options = options or PlayerOptions()
         """Options of the replay."""
-        self._stream = Stream(_played(rosCas), selection or PlaySelection())
+        self._stream = PlayStream(_played(rosCas), selection or PlaySelection())
         self._outlets: Outlets | None = None
         self._registration = Registration()
         self._control: rospy.Subscriber | None = None
@@ -99,7 +99,7 @@ class Player:
         self._error: Exception | None = None
 
     @property
-    def stream(self) -> Stream:
+    def stream(self) -> PlayStream:
         """Stream of the messages that are played."""
         return self._stream
 

@@ -86,7 +86,7 @@ def play(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)
     try:
-        offer_services(Services(player).all(), say, none=options.no_services)
+        offer_services(PlayerServices(player).all(), say, none=options.no_services)
         player.start()
         _say_what(player, say)
         stopped, missing = 0, 0
@@ -133,7 +133,7 @@ def press(player: Player, key: str) -> None:
             _log.warning("%s", exc)
 
 
-class Services:
+class PlayerServices:
     """The services of a player. A handler unpacks a request, calls the player, packs the answer."""
 
     def __init__(self, player: Player) -> None:

@@ -154,7 +154,7 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
         allow_writes: Whether requests that change stored messages are allowed.
     """
     marks = EventMarks(ros_cas.catalog.keyspace.events.put)
-    services = Services(ros_cas, allow_writes, marks)
+    services = QueryServices(ros_cas, allow_writes, marks)
     handlers = (
         (f"~{name}", kind, partial(_answer, getattr(services, method), response_class))
         for name, (kind, response_class, method) in SERVICES.items()
@@ -189,7 +189,7 @@ def _answer(
 
 
 @dataclass
-class Services:
+class QueryServices:
     """The handlers of the services. Thread-safe."""
 
     ros_cas: RosCassandra
@@ -423,7 +423,7 @@ SERVICES: Mapping[str, tuple[type, Callable[..., Response], str]] = {
     "removeData": (RemoveData, RemoveDataResponse, "remove_data"),
     "lookupTransform": (LookupTransform, LookupTransformResponse, "lookup_transform"),
 }
-"""Services by name: class, class of the response, and the handler of Services."""
+"""Services by name: class, class of the response, and the handler of QueryServices."""
 
 
 def _definition(request: AddDataRequest, topic: CassandraTopic | None) -> Definition:

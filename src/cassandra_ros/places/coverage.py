@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Iterable, Iterator, Mapping, Sequence
 
-from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, Cell, cells_of
+from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, GroundCell, cells_of
 from cassandra_ros.places.paths import LONGEST_GAP_NS, clip_ranges, merge_ranges, subtract_ranges
 from cassandra_ros.places.regions import Region
 from cassandra_ros.places.robots import MAX_FRAMES, Robot
@@ -58,7 +58,7 @@ class Coverage:
         return [record for record in records if is_valid(record, robot, fixed)]
 
     def _visits(
-        self, robot: Robot, cells: Sequence[Cell], low: int, high: int
+        self, robot: Robot, cells: Sequence[GroundCell], low: int, high: int
     ) -> Iterable[NsRange]:
         squares = [Square(robot.frame, key, *cell) for key in robot.keys for cell in cells]
         return self._index.visits(squares, robot.node, max(0, low) - _FIRST, high)

@@ -15,7 +15,7 @@ from typing import Iterator, NamedTuple
 import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.paths import Path
+from cassandra_ros.places.paths import RobotPath
 from cassandra_ros.places.pose_samples import Times
 from cassandra_ros.places.regions import Box
 from cassandra_ros.places.rigid import Floats
@@ -35,7 +35,7 @@ _ROUNDED_M = 1e-6
 """Distance from a side, metres, within which a point belongs to both cells, because of rounding."""
 
 
-class Cell(NamedTuple):
+class GroundCell(NamedTuple):
     """A square with sides of ``size`` metres; cell (0, 0) begins at the origin."""
 
     size: int
@@ -43,15 +43,15 @@ class Cell(NamedTuple):
     y: int
 
 
-class Visit(NamedTuple):
+class CellVisit(NamedTuple):
     """A time range in which a robot may have been in a cell, ns, both ends included."""
 
-    cell: Cell
+    cell: GroundCell
     low: int
     high: int
 
 
-def cells_of(box: Box) -> list[Cell] | None:
+def cells_of(box: Box) -> list[GroundCell] | None:
     """Return the cells that cover a rectangle.
 
     None if there are too many even of the largest size.
@@ -60,7 +60,7 @@ def cells_of(box: Box) -> list[Cell] | None:
         left, bottom, right, top = (_number(side, size) for side in box)
         if (right - left + 1) * (top - bottom + 1) <= MAX_CELLS:
             columns, rows = range(left, right + 1), range(bottom, top + 1)
-            return [Cell(size, x, y) for x in columns for y in rows]
+            return [GroundCell(size, x, y) for x in columns for y in rows]
     return None
 
 
@@ -68,7 +68,7 @@ def _number(metres: float, size: int) -> int:
     return max(-_FAR, min(_FAR, math.floor(metres / size)))
 
 
-def visits_of(path: Path) -> Iterator[Visit]:
+def visits_of(path: RobotPath) -> Iterator[CellVisit]:
     """Yield the visits of a path, by size and cell, for each cell in time order.
 
     At each time of the path, a visit exists for the cell of each size that contains its point.
@@ -79,14 +79,14 @@ def visits_of(path: Path) -> Iterator[Visit]:
         )
 
 
-def _of_poses(path: Path, size: int) -> Times:
+def _of_poses(path: RobotPath, size: int) -> Times:
     """Return the cells of isolated poses, from which the path does not continue."""
     n = path.alone
     x, y, times = _numbers(path.x[n], size), _numbers(path.y[n], size), path.times[n]
     return np.stack([x, y, times, times], 1)
 
 
-def _of_lines(path: Path, size: int) -> Times:
+def _of_lines(path: RobotPath, size: int) -> Times:
     """Return the cells of the lines between poses, cut into pieces of at most half a cell."""
     starts, ends, lines = path.lines
     longest = np.maximum(np.abs(lines.dx), np.abs(lines.dy))
@@ -118,7 +118,7 @@ def _numbers(metres: Floats, size: int) -> Times:
     return numbers
 
 
-def _join_visits(visits: Times, size: int) -> Iterator[Visit]:
+def _join_visits(visits: Times, size: int) -> Iterator[CellVisit]:
     """Join visits of a cell with short pauses between them; (n, 4) numbers: x, y, low, high."""
     if not len(visits):
         return
@@ -129,10 +129,12 @@ def _join_visits(visits: Times, size: int) -> Iterator[Visit]:
     columns = (x[first], y[first], low[first], ends)
     for cell_x, cell_y, start, end in zip(*(column.tolist() for column in columns)):
         for begin in range(start, end + 1, LONGEST_NS):
-            yield Visit(Cell(size, cell_x, cell_y), begin, min(end, begin + LONGEST_NS - 1))
+            yield CellVisit(
+                GroundCell(size, cell_x, cell_y), begin, min(end, begin + LONGEST_NS - 1)
+            )
 
 
-def joins(visit: Visit, low: int, high: int) -> bool:
+def joins(visit: CellVisit, low: int, high: int) -> bool:
     """Return whether a later time range in the same cell extends a visit.
 
     Else it is a new visit.
@@ -144,9 +146,9 @@ class OpenVisits:
     """Extends visits while the path continues."""
 
     def __init__(self) -> None:
-        self._open: dict[Cell, Visit] = {}
+        self._open: dict[GroundCell, CellVisit] = {}
 
-    def visits(self, path: Path) -> list[Visit]:
+    def visits(self, path: RobotPath) -> list[CellVisit]:
         """Return the visits of the next part of a path; an extended visit from its beginning."""
         ended = []
         for visit in visits_of(path):
@@ -156,7 +158,7 @@ class OpenVisits:
                 and earlier.low <= visit.low
                 and joins(earlier, visit.low, visit.high)
             ):
-                visit = Visit(visit.cell, earlier.low, max(earlier.high, visit.high))
+                visit = CellVisit(visit.cell, earlier.low, max(earlier.high, visit.high))
             self._open[visit.cell] = visit
             ended.append(visit)
         last = int(path.times[-1]) if len(path) else 0

@@ -30,7 +30,7 @@ AROUND_NS = 1_000_000
 
 
 @dataclass(frozen=True)
-class Path:
+class RobotPath:
     """The positions of a robot over time."""
 
     times: Times
@@ -42,7 +42,7 @@ class Path:
     """Maximum time between two connected poses, ns. The position between others is unknown."""
 
     @classmethod
-    def of(cls, tracks: Iterable[Track]) -> Path:
+    def of(cls, tracks: Iterable[Track]) -> RobotPath:
         """Return the path of consecutive tracks."""
         all_tracks = list(tracks)
         none = np.zeros(0)
@@ -54,7 +54,7 @@ class Path:
         return cls(unique_times, np.concatenate(x)[first], np.concatenate(y)[first])
 
     @classmethod
-    def still(cls, x: float, y: float) -> Path:
+    def still(cls, x: float, y: float) -> RobotPath:
         """Return the path of an object that never moves."""
         ends = np.array([0, MAX_NS], np.int64)
         return cls(ends, np.array([x, x]), np.array([y, y]), MAX_NS)

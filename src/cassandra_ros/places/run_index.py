@@ -18,13 +18,13 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.places.array_source import ArraySource, TopicFinder, find_stored
 from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.ground_cells import OpenVisits
-from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, merge_ranges
+from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath, merge_ranges
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MAX_FRAMES, fixed_frames, frames_above, frames_in
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
-from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square, Visit
+from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square, VisitRow
 
 MAX_FRAMES_ABOVE = 16
 """Maximum number of frames above a robot in which its places are indexed."""
@@ -64,12 +64,12 @@ class _RobotVisits:
         self._at = (frame, robot)
         self._open = OpenVisits()
 
-    def visits(self, whose: RobotRun, low: int, high: int) -> Iterator[Visit]:
+    def visits(self, whose: RobotRun, low: int, high: int) -> Iterator[VisitRow]:
         """Yield the visits of the time range [low, high], ns, and of the path into it."""
-        path = Path.of(self._poses.tracks(low - LONGEST_GAP_NS, high))
+        path = RobotPath.of(self._poses.tracks(low - LONGEST_GAP_NS, high))
         for visit in self._open.visits(path):
             square = Square(*self._at, *visit.cell)
-            yield Visit(square, whose.node, visit.low, whose.writer, visit.high)
+            yield VisitRow(square, whose.node, visit.low, whose.writer, visit.high)
 
 
 class TfVisits:
@@ -89,7 +89,7 @@ class TfVisits:
         self._seen: set[str] = set()
         self._begun = False
 
-    def visits(self, low: int, high: int) -> Iterator[Visit]:
+    def visits(self, low: int, high: int) -> Iterator[VisitRow]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         samples = self._frames.read(low, high)
         tf = frames_in(self._frames, [samples])
@@ -135,7 +135,7 @@ class TopicVisits:
         self._poses = Poses(recording)
         self._ways: dict[str, _RobotVisits] = {}
 
-    def visits(self, table: str, low: int, high: int) -> Iterator[Visit]:
+    def visits(self, table: str, low: int, high: int) -> Iterator[VisitRow]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         if table not in self._ways:
             self._ways[table] = _RobotVisits(self._poses, self._frame, table)
@@ -223,7 +223,7 @@ class _TopicPoses(NamedTuple):
     """The poses of one topic."""
 
     extents: Sequence[Extent]
-    visits: Callable[[int, int], Iterator[Visit]]
+    visits: Callable[[int, int], Iterator[VisitRow]]
     note: Callable[[str, int, int], list[IndexedPoses]]
 
     def placed(self) -> Iterator[IndexedPoses]:

@@ -18,7 +18,7 @@ from typing import Iterator, Mapping, Sequence
 import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.paths import LONGEST_GAP_NS, Path
+from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.robots import Robot
@@ -33,12 +33,12 @@ FRESH_SEC = 2.0
 
 
 @dataclass(frozen=True)
-class Window:
+class PathWindow:
     """The path of a robot in one time window, by all runs and by each run."""
 
-    every: Path
+    every: RobotPath
     """Path by the poses of all runs."""
-    by_run: Mapping[str, Path] = field(default_factory=dict)
+    by_run: Mapping[str, RobotPath] = field(default_factory=dict)
     """Paths by the poses of one run, by the value of RUN, if several runs overlap."""
     complete: bool = False
     """Whether no more poses are expected: there is one after the end of the window."""
@@ -50,7 +50,7 @@ class Window:
         return self.every.at(t) if place is None else place
 
     @property
-    def paths(self) -> list[Path]:
+    def paths(self) -> list[RobotPath]:
         """All paths."""
         return [self.every, *self.by_run.values()]
 
@@ -62,25 +62,25 @@ class Windows:
         self.robot = robot
         self._stored = stored
         self._poses: dict[Writers, Poses] = {}
-        self._kept: OrderedDict[int, tuple[float, Window]] = OrderedDict()
+        self._kept: OrderedDict[int, tuple[float, PathWindow]] = OrderedDict()
         self.still = self._still()
         """Path of a robot that never moves; None if it moves."""
 
-    def _still(self) -> Path | None:
+    def _still(self) -> RobotPath | None:
         # A pose that is known without any moving transform is fixed.
         nothing, once = Samples.none(), np.zeros(1, np.int64)
         poses, valid = self.robot.source().placed(nothing, once, False, 0)
-        return Path.still(float(poses.x[0]), float(poses.y[0])) if valid[0] else None
+        return RobotPath.still(float(poses.x[0]), float(poses.y[0])) if valid[0] else None
 
     def _poses_of(self, writers: Writers) -> Poses:
         if writers not in self._poses:
             self._poses[writers] = self.robot.poses(writers)
         return self._poses[writers]
 
-    def of(self, t: int) -> Window:
+    def of(self, t: int) -> PathWindow:
         """Return the window that contains a time, ns."""
         if self.still is not None:
-            return Window(self.still, complete=True)
+            return PathWindow(self.still, complete=True)
         number = t // WINDOW_NS
         path = self._kept.get(number)
         if path is not None and path[0] > time.monotonic():
@@ -97,12 +97,12 @@ class Windows:
             self._kept.popitem(last=False)
         return window
 
-    def _read(self, number: int) -> Window:
+    def _read(self, number: int) -> PathWindow:
         low = number * WINDOW_NS - LONGEST_GAP_NS
         high = (number + 1) * WINDOW_NS - 1 + LONGEST_GAP_NS
-        path = Path.of(self._poses_of(None).tracks(low, high))
+        path = RobotPath.of(self._poses_of(None).tracks(low, high))
         if not len(path):
-            return Window(path)
+            return PathWindow(path)
         robot = self.robot
         extents = self._stored.extents(robot.topic, robot.node, low, high)
         # Several runs may have the same value of RUN: then their poses are used together.
@@ -110,10 +110,10 @@ class Windows:
         for writer in {extent.writer for pair in overlapping_pairs(extents) for extent in pair}:
             called.setdefault(self._stored.run_text(writer), set()).add(writer)
         by_run = {
-            text: Path.of(self._poses_of(frozenset(writers)).tracks(low, high))
+            text: RobotPath.of(self._poses_of(frozenset(writers)).tracks(low, high))
             for text, writers in called.items()
         }
-        return Window(path, by_run, int(path.times[-1]) > high - LONGEST_GAP_NS)
+        return PathWindow(path, by_run, int(path.times[-1]) > high - LONGEST_GAP_NS)
 
 
 def overlapping_pairs(extents: Sequence[Extent]) -> Iterator[tuple[Extent, Extent]]:

@@ -15,7 +15,7 @@ from typing import Callable, Iterator, List, Sequence, Union
 import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, Path, merge_ranges
+from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, RobotPath, merge_ranges
 from cassandra_ros.places.pose_samples import Times
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.whereabouts import Whereabouts
@@ -36,7 +36,7 @@ class RobotTrack:
 
     node: str
     frame: str
-    path: Path
+    path: RobotPath
     joined: Sequence[bool]
     """For each point, whether the line from the previous point is known."""
 
@@ -82,7 +82,7 @@ def find_tracks(
     return tracks
 
 
-def _path(robot: Robot, spans: Sequence[tuple[int, int]], watch: Callable[[], None]) -> Path:
+def _path(robot: Robot, spans: Sequence[tuple[int, int]], watch: Callable[[], None]) -> RobotPath:
     poses, tracks = robot.poses(), []
     total = sum(end - start + 1 for start, end in spans)
     for start, end in spans if total <= WHOLE_NS else _sample_ranges(spans, total):
@@ -91,12 +91,12 @@ def _path(robot: Robot, spans: Sequence[tuple[int, int]], watch: Callable[[], No
             tracks.append(track)
             if total > WHOLE_NS:
                 break
-    path = Path.of(tracks)
+    path = RobotPath.of(tracks)
     if total <= WHOLE_NS or not len(path):
         return path
     # The lines between two moments are drawn as known, unless a run ended in between.
     step = total // _SAMPLES
-    return Path(path.times, path.x, path.y, max(2 * step, LONGEST_GAP_NS))
+    return RobotPath(path.times, path.x, path.y, max(2 * step, LONGEST_GAP_NS))
 
 
 def _sample_ranges(spans: Sequence[tuple[int, int]], total: int) -> Iterator[tuple[int, int]]:
@@ -107,7 +107,7 @@ def _sample_ranges(spans: Sequence[tuple[int, int]], total: int) -> Iterator[tup
             yield at, min(end, at + _SAMPLE_NS)
 
 
-def reduce_points(path: Path, most: int) -> tuple[Path, list[bool]]:
+def reduce_points(path: RobotPath, most: int) -> tuple[RobotPath, list[bool]]:
     """Reduce the points of a path to at most ``most``, leaving out those that change it least.
 
     The ends of known parts stay, unless there are too many of them.
@@ -122,11 +122,11 @@ def reduce_points(path: Path, most: int) -> tuple[Path, list[bool]]:
     indices = (
         np.arange(count) if count <= most else _chosen_indices(path, most, np.flatnonzero(breaks))
     )
-    points = Path(path.times[indices], path.x[indices], path.y[indices], path.gap)
+    points = RobotPath(path.times[indices], path.x[indices], path.y[indices], path.gap)
     return points, [False, *(np.diff(before[indices]) == 0).tolist()][: len(points)]
 
 
-def _chosen_indices(path: Path, most: int, broken: Times) -> Times:
+def _chosen_indices(path: RobotPath, most: int, broken: Times) -> Times:
     """Return the indices of the points that stay."""
     count = len(path)
     ends = np.unique(np.concatenate([[0, count - 1], broken, broken + 1]))

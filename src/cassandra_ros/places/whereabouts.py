@@ -19,7 +19,7 @@ from cassandra_ros.places.paths import clip_ranges, merge_ranges
 from cassandra_ros.places.regions import DiskRegion, Region
 from cassandra_ros.places.robots import Robot, RobotFinder
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
-from cassandra_ros.places.track_windows import WINDOW_NS, Window, Windows
+from cassandra_ros.places.track_windows import WINDOW_NS, PathWindow, Windows
 from cassandra_ros.query.plan.bounds import NsRange
 from cassandra_ros.query.protocols import Disk
 from cassandra_ros.read import Writers
@@ -39,7 +39,7 @@ class RegionStays:
 
     def __init__(self, region: Region, windows: Mapping[str, Windows], coverage: Coverage) -> None:
         self._region, self._windows, self._coverage = region, windows, coverage
-        self._latest: dict[str, tuple[int, Window]] = {}
+        self._latest: dict[str, tuple[int, PathWindow]] = {}
         self._mutex = threading.Lock()
 
     @property
@@ -59,7 +59,7 @@ class RegionStays:
         place = latest[1].at(run, t)
         return None if place is None else self._region.holds(*place)
 
-    def _window(self, windows: Windows, t: int) -> Window:
+    def _window(self, windows: Windows, t: int) -> PathWindow:
         with self._mutex:
             return windows.of(t)
 

@@ -118,7 +118,7 @@ class Channel(NamedTuple):
     """Whether at least one publisher latched it."""
 
 
-class Stream:
+class PlayStream:
     """The messages of a selection in one order: by time, node, counter and table.
 
     Attributes:

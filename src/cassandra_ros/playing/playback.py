@@ -50,7 +50,7 @@ class PlayedStream(Protocol):
         """Yield the messages from ``t`` on, ns."""
 
 
-class Output(Protocol):
+class PlayOutput(Protocol):
     """The receiver of the messages. Its methods are called on the thread that plays."""
 
     def begin(self, t: int) -> None:
@@ -78,7 +78,7 @@ class Playback:
     def __init__(
         self,
         stream: PlayedStream,
-        output: Output,
+        output: PlayOutput,
         options: PlayerOptions,
         lags: Callable[[int], bool],
         skipped: OnSkip,

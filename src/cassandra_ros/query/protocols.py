@@ -16,7 +16,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import Read, TimeRange
 
 
-class Runs(Protocol):
+class RunNames(Protocol):
     """Recordings, imports and clients that stored the messages, by their writer ids."""
 
     def called(self, text: str) -> frozenset[int]:
@@ -100,7 +100,7 @@ class NamedTime(Protocol):
         """The time range; one that lasts reaches to the end of all time."""
 
 
-class Events(Protocol):
+class NamedTimes(Protocol):
     """Events of a keyspace: named time ranges of robots."""
 
     def called(self, name: str, like: bool, read: Read) -> Iterator[NamedTime]:
@@ -109,7 +109,7 @@ class Events(Protocol):
     def unknown(self, name: str, like: bool) -> str:
         """Say that no event has a name, or one like it, with similar names; '' = one has."""
 
-    def times(self, name: str, like: bool, read: Read, others: Sequence[Events] = ()) -> Stays:
+    def times(self, name: str, like: bool, read: Read, others: Sequence[NamedTimes] = ()) -> Stays:
         """Return when robots had events of a name.
 
         Args:
@@ -140,7 +140,7 @@ class SizeGroup(Protocol):
         """Which rows are stored as differences; None = no row is."""
 
 
-class Block(Protocol):
+class UnpackedMessages(Protocol):
     """Consecutive messages of one table, unpacked together."""
 
     def __len__(self) -> int: ...
@@ -172,7 +172,7 @@ class Table(Protocol):
         """Type of its messages, 'pkg/Name'."""
 
     @property
-    def runs(self) -> Runs:
+    def runs(self) -> RunNames:
         """Runs of its keyspace."""
 
     @property
@@ -180,7 +180,7 @@ class Table(Protocol):
         """Positions of the robots of its keyspace."""
 
     @property
-    def events(self) -> Events:
+    def events(self) -> NamedTimes:
         """Events of its keyspace."""
 
     @property

@@ -95,7 +95,7 @@ class OnDisk(NamedTuple):
 
 
 @dataclass
-class _Segment:
+class _SegmentFile:
     """A file of the run."""
 
     path: Path
@@ -125,7 +125,7 @@ class _Segment:
 
 class _OpenSegment(NamedTuple):
     writer: SegmentWriter
-    segment: _Segment
+    segment: _SegmentFile
 
 
 class Backlog:
@@ -159,15 +159,15 @@ class Backlog:
         self._open: _OpenSegment | None = None
         self._run_totals: Totals = {}
         """The messages that were written to files."""
-        self._parked: deque[_Segment] = deque()
+        self._parked: deque[_SegmentFile] = deque()
         """Complete files that are still to be read."""
         self._handed: deque[BufferedMessage] = deque()
         """Messages of the journal that are still to be taken."""
         self._unsynced: deque[SegmentWriter] = deque()
         """Complete files that are to be synced and closed."""
-        self._unsettled: deque[_Segment] = deque()
+        self._unsettled: deque[_SegmentFile] = deque()
         """Complete files whose messages were handed over."""
-        self._passed: list[_Segment] = []
+        self._passed: list[_SegmentFile] = []
         """Files whose messages were all taken and may not be stored yet."""
         self._back: list[tuple[int, SpooledMessage]] = []
         """Messages that the store gave back, with the number of overflows of the counter."""
@@ -175,7 +175,7 @@ class Backlog:
         """Number of messages handed over in memory, and of those taken."""
         self._parking = False
         self._reading: Iterator[list[BufferedMessage]] | None = None
-        self._oldest: _Segment | None = None
+        self._oldest: _SegmentFile | None = None
         """File that is read, or was read last."""
         self._taken_at = time.monotonic()
         self._since = self._told = 0.0
@@ -239,7 +239,7 @@ class Backlog:
             return items
         return []
 
-    def _next_segment(self) -> _Segment | None:
+    def _next_segment(self) -> _SegmentFile | None:
         with self._changed:
             if not self._parked and self._open is not None and not self._open.segment.handed:
                 self._close_open()
@@ -252,7 +252,7 @@ class Backlog:
             _log.warning("the spool is empty again after %.0f s", seconds)
         return None
 
-    def _messages_of(self, segment: _Segment) -> Iterator[list[BufferedMessage]]:
+    def _messages_of(self, segment: _SegmentFile) -> Iterator[list[BufferedMessage]]:
         """Yield the messages of a file chunk by chunk; what cannot be read is lost."""
         read: Counter[str] = Counter()
         sources: dict[int, MessageSource] = {}
@@ -305,7 +305,7 @@ class Backlog:
             for segment in passed:
                 self._delete(segment)
 
-    def _delete(self, segment: _Segment) -> None:
+    def _delete(self, segment: _SegmentFile) -> None:
         self._own_bytes -= segment.nbytes
         if self._folder is not None:
             self._folder.settle(segment.path, segment.run_totals)
@@ -478,7 +478,7 @@ class Backlog:
         path = self._folder.new_file()
         writer = SegmentWriter(path, label, self._run_totals)
         self._own_bytes += writer.size
-        self._open = _OpenSegment(writer, _Segment(path, generation, handed))
+        self._open = _OpenSegment(writer, _SegmentFile(path, generation, handed))
         return self._open
 
     def _close_open(self) -> None:

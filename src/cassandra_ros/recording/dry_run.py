@@ -13,7 +13,7 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.recording.live_row import LiveTable
 from cassandra_ros.recording.table_maker import differences
-from cassandra_ros.recording.topic_settings import Settings, TopicSettings
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.query_result import Condition
 
@@ -39,7 +39,7 @@ class PlannedTopic:
 
 
 def plan_topics(
-    catalog: Catalog, settings: Settings, types: Mapping[str, str]
+    catalog: Catalog, settings: RecordingSettings, types: Mapping[str, str]
 ) -> list[PlannedTopic]:
     """Return the plan for each topic, sorted by name.
 

@@ -18,7 +18,7 @@ from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.recording.event_marks import EventWatch, Put
 from cassandra_ros.recording.live_row import LiveRow, LiveTable
-from cassandra_ros.recording.topic_settings import Settings
+from cassandra_ros.recording.topic_settings import RecordingSettings
 from cassandra_ros.topics.query_result import Condition
 
 _log = logging.getLogger(__name__)
@@ -39,7 +39,7 @@ class Filters:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: RecordingSettings,
         node: str = "",
         put: Put | None = None,
         writer: Callable[[], int] = lambda: 0,

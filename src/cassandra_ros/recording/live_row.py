@@ -14,7 +14,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.formats.table import FALLBACK_FORMAT
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query.protocols import Disk, Events, NamedTime, Stays
+from cassandra_ros.query.protocols import Disk, NamedTime, NamedTimes, Stays
 from cassandra_ros.read import Read
 from cassandra_ros.topics.message_writer import connection_kind, usable_definition
 
@@ -59,7 +59,7 @@ class _NoEvents:
         """Raise InvalidOption."""
         raise self._refused()
 
-    def times(self, name: str, like: bool, read: Read, others: Sequence[Events] = ()) -> Stays:
+    def times(self, name: str, like: bool, read: Read, others: Sequence[NamedTimes] = ()) -> Stays:
         """Raise InvalidOption."""
         raise self._refused()
 

@@ -36,7 +36,7 @@ from cassandra_ros.read import Read, Writers
 from cassandra_ros.recording.live_row import LiveRow, LiveTable
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
-from cassandra_ros.store.tables.place_index import IndexedPoses, Visit
+from cassandra_ros.store.tables.place_index import IndexedPoses, VisitRow
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.message_writer import connection_kind
 from cassandra_ros.topics.row_finder import range_between
@@ -250,7 +250,7 @@ class PlaceKeeper:
             self._gone += self._topics[name].drop(self._noted - 2 * LONGEST_GAP_NS)
         if high < low:
             return  # no pose to index
-        visits: list[Visit] = []
+        visits: list[VisitRow] = []
         placed: list[IndexedPoses] = []
         for name in moving:
             visits += self._visits(name, low, high)
@@ -321,7 +321,7 @@ class PlaceKeeper:
             raise TopicNotFound(f"topic {name} is not recorded")
         return self._topics[name]
 
-    def _visits(self, name: str, low: int, high: int) -> list[Visit]:
+    def _visits(self, name: str, low: int, high: int) -> list[VisitRow]:
         if name == TF:
             if self._tf is None:
                 self._tf = TfVisits(self._find, self._whose)

@@ -34,7 +34,11 @@ from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
 from cassandra_ros.recording.table_maker import TableMaker, connect, make_together
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
-from cassandra_ros.recording.topic_settings import Settings, TopicSettings, settings_as_json
+from cassandra_ros.recording.topic_settings import (
+    RecordingSettings,
+    TopicSettings,
+    settings_as_json,
+)
 from cassandra_ros.store.tables.context_blob import RunContext
 from cassandra_ros.store.tables.directory import Lengths
 from cassandra_ros.store.tables.registry import LossKind, Run
@@ -111,7 +115,7 @@ class Recording:
         *,
         clock: Callable[[], int] = time.time_ns,
         format: str | None = None,
-        settings: Settings | None = None,
+        settings: RecordingSettings | None = None,
         filters: Filters | None = None,
         node: str = "",
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
@@ -125,7 +129,7 @@ class Recording:
     ) -> None:
         self._store = store_future(store)
         self._clock = clock
-        self._settings = settings or Settings(TopicSettings(format))
+        self._settings = settings or RecordingSettings(TopicSettings(format))
         self._filters = filters or Filters(self._settings, node)
         self.node, self.name, self._labels = node, name, dict(labels or {})
         self._limit, self._block_sec = limit, block_sec

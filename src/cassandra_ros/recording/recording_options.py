@@ -18,7 +18,7 @@ from cassandra_ros.recording.option_values import (
     DEFAULT_BUFFER_BYTES,
     SnapshotBound,
 )
-from cassandra_ros.recording.topic_settings import Rule, Settings, TopicSettings
+from cassandra_ros.recording.topic_settings import RecordingSettings, Rule, TopicSettings
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,12 @@ class RecorderOptions:
         return SpoolPlan(folder, self.keyspace, self.address, self.journal, newest)
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> RecordingSettings:
         """Settings of all topics, from these options."""
         conditions: Sequence[Rule] = [(p, {"where": text}) for p, text in self.where]
         rates: Sequence[Rule] = [(p, {"rate_limit": rate}) for p, rate in self.rate_limit]
         default = TopicSettings(format=self.format, ttl=self.ttl)
-        return Settings(default, [self.config, conditions, rates], self.events)
+        return RecordingSettings(default, [self.config, conditions, rates], self.events)
 
     @property
     def discovers(self) -> bool:

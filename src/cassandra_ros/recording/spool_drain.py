@@ -46,7 +46,7 @@ from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import lengths_for
 from cassandra_ros.recording.table_maker import MAX_CONFLICTS, PAUSE_SEC, connect
-from cassandra_ros.recording.topic_settings import Settings, settings_from_json
+from cassandra_ros.recording.topic_settings import RecordingSettings, settings_from_json
 from cassandra_ros.store.connection.driver_errors import is_denied
 from cassandra_ros.store.tables.directory import Lengths
 from cassandra_ros.store.tables.registry import Loss, LossKind, Run
@@ -145,7 +145,7 @@ class Drain:
             raise SpoolError(f"the spool of run {left.name} cannot be drained: {left.problem}")
         self._catalog, self._space = catalog, catalog.keyspace
         self._left, self._label = left, left.label
-        self._settings: Settings = settings_from_json(left.label.settings)
+        self._settings: RecordingSettings = settings_from_json(left.label.settings)
         self._writers: dict[int, MessageWriter] = {}
         self._handles: dict[tuple[int, Connection], Handle] = {}
         self._account = MessageAccount(left.folder)

@@ -26,7 +26,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.recording.message_buffer import MessageSource
-from cassandra_ros.recording.topic_settings import Settings, TopicSettings
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 from cassandra_ros.store.tables.directory import Lengths
 from cassandra_ros.topics.message_writer import Asked, Handle, MessageWriter
 
@@ -138,7 +138,7 @@ class TableMaker:
 
 
 def connect(
-    writer: MessageWriter, connection: Connection, lengths: Lengths, settings: Settings
+    writer: MessageWriter, connection: Connection, lengths: Lengths, settings: RecordingSettings
 ) -> Handle:
     """Return a handle to write the messages of a connection; raises as MessageWriter.connect does.
 
@@ -163,7 +163,7 @@ def connect(
 
 
 def make_together(
-    writer: MessageWriter, sources: Sequence[MessageSource], settings: Settings
+    writer: MessageWriter, sources: Sequence[MessageSource], settings: RecordingSettings
 ) -> None:
     """Make the tables of several sources, but for those with a key field or an index.
 

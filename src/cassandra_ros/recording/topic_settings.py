@@ -58,7 +58,7 @@ Rule = Tuple[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
-class Settings:
+class RecordingSettings:
     """The settings of all topics.
 
     In each list of rules only the first rule that matches a topic is used; a later list has
@@ -79,17 +79,17 @@ class Settings:
         return settings
 
 
-def settings_as_json(settings: Settings) -> Mapping[str, Any]:
+def settings_as_json(settings: RecordingSettings) -> Mapping[str, Any]:
     """Return settings as values of JSON, of which settings_from_json makes them again."""
     rules = [[[pattern, dict(values)] for pattern, values in each] for each in settings.rules]
     return {"default": asdict(settings.default), "rules": rules}
 
 
-def settings_from_json(values: Mapping[str, Any]) -> Settings:
+def settings_from_json(values: Mapping[str, Any]) -> RecordingSettings:
     """Return the settings that settings_as_json returned as JSON."""
     try:
         rules = [[(pattern, _known(rule)) for pattern, rule in each] for each in values["rules"]]
-        return Settings(TopicSettings(**_known(values["default"])), rules)
+        return RecordingSettings(TopicSettings(**_known(values["default"])), rules)
     except (KeyError, TypeError, ValueError, AttributeError) as exc:
         raise InvalidOption(f"the settings {str(values)!r:.200} cannot be used: {exc!r}") from exc
 

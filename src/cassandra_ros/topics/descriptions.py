@@ -8,7 +8,7 @@ from typing import Callable, Iterable, Sequence
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.printable import Listing, html_table, shown
+from cassandra_ros.printable import PrintableList, html_table, shown
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.stored_totals import TopicInfo, describe
@@ -71,7 +71,7 @@ def _time(ns: int | None) -> str:
     return "" if ns is None else iso_time(ns)
 
 
-class InfoList(Listing[TopicInfo]):
+class InfoList(PrintableList[TopicInfo]):
     """Stored topics: a row for each topic, table and robot."""
 
     COLUMNS = {
@@ -87,7 +87,7 @@ class InfoList(Listing[TopicInfo]):
     }
 
 
-class RunList(Listing[Run]):
+class RunList(PrintableList[Run]):
     """Recordings and imports."""
 
     COLUMNS = {

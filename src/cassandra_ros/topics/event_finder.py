@@ -154,7 +154,7 @@ class Events:
         return mine if test is None else (event for event in mine if test(event.name))
 
     def called(self, name: str, like: bool, read: Read) -> Iterator[Event]:
-        """Yield the events of a name that meet a read; see query.protocols.Events."""
+        """Yield the events of a name that meet a read; see query.protocols.NamedTimes."""
         within = read.time_range
         return self.find(like=name, within=within) if like else self.find(name, within=within)
 
@@ -167,10 +167,10 @@ class Events:
         return "" if next(events, None) is not None else self._absent(name)
 
     def times(
-        self, name: str, like: bool, read: Read, others: Sequence[protocols.Events] = ()
+        self, name: str, like: bool, read: Read, others: Sequence[protocols.NamedTimes] = ()
     ) -> EventTimes:
-        """Return the times of the events of a name, for EVENT; see query.protocols.Events."""
-        sources: list[protocols.Events] = [self, *others]
+        """Return the times of the events of a name, for EVENT; see query.protocols.NamedTimes."""
+        sources: list[protocols.NamedTimes] = [self, *others]
         events = merged_events([source.called(name, like, read) for source in sources])
         return EventTimes(_limit(events, repr(name)))
 

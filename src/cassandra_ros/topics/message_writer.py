@@ -39,7 +39,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.metadata import ANY_MD5, Kind, TopicMetadata, message_kind
-from cassandra_ros.store.blocks.block_builder import FULL, BlockBuilder, Limits
+from cassandra_ros.store.blocks.block_builder import FULL, BlockBuilder, BlockLimits
 from cassandra_ros.store.rows.writer import GONE, LossCallback, RowWriter, WriteStats
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.store.tables.row_table import NewRow
@@ -128,7 +128,7 @@ class MessageWriter:
         *,
         linger_sec: float = 0.2,
         block_sec: float | None = None,
-        limits: Limits = FULL,
+        limits: BlockLimits = FULL,
         give_up_after_sec: float = 60.0,
         format: str | None = None,
         node: str = "",

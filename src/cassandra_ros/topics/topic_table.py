@@ -25,7 +25,7 @@ from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.tables.row_encoder import Indexed, Shadows
 from cassandra_ros.store.tables.row_table import NewRow, RowTable, encode_long
-from cassandra_ros.store.tables.schema import Listing, Schema
+from cassandra_ros.store.tables.schema import Schema, TableListing
 from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
@@ -190,7 +190,7 @@ class WholeTopic(List[TopicTable]):
     def __init__(
         self,
         tables: Iterable[TopicTable],
-        listing: Listing,
+        listing: TableListing,
         renew: Callable[[WholeTopic, bool], WholeTopic],
     ) -> None:
         super().__init__(tables)
@@ -285,7 +285,7 @@ class TopicTables:
         """Return the tables of a topic, the oldest first: one for each kind and format."""
         return self._whole(topic, self._schema.listing(fresh=fresh))
 
-    def _whole(self, topic: str, listing: Listing, others: Iterable[str] = ()) -> WholeTopic:
+    def _whole(self, topic: str, listing: TableListing, others: Iterable[str] = ()) -> WholeTopic:
         names = dict.fromkeys([*listing.by_topic.get(topic, ()), *others])
         tables = [self.get(name, listing.visible[name]) for name in names]
         # Names of columns depend on the order: a later definition must not change them.

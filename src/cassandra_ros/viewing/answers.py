@@ -29,7 +29,7 @@ class Bytes:
 
 
 @dataclass(frozen=True)
-class Stream:
+class StreamedBody:
     """A body that is made while it is sent, never faster than the browser reads it.
 
     The chunks are made one after the other, each on any thread of the pool. If the browser
@@ -54,7 +54,7 @@ class CachedFile:
     """Tag of the content, without quotes."""
 
 
-Answer = Union[Json, Bytes, Stream, CachedFile]
+Answer = Union[Json, Bytes, StreamedBody, CachedFile]
 
 
 def json_bytes(answer: Json) -> bytes:

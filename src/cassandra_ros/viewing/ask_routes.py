@@ -30,11 +30,11 @@ from cassandra_ros.query.tree.syntax import (
 )
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.overview.envelopes import EnvelopeCache
-from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
+from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PIXELS, PlotWindow, Series
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
-from cassandra_ros.viewing.lossless_json import Cells
+from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE, whose_of
 from cassandra_ros.viewing.sql_answers import sql_plan, sql_plot, sql_rows
@@ -129,7 +129,7 @@ def page_of(
     call: ApiCall, result: QueryResult, tables: Sequence[Table], limit: int
 ) -> dict[str, Json]:
     """Return the next rows of a statement as JSON, up to a number and PAGE_BYTES."""
-    cells = Cells(call.count("cut"))
+    cells = JsonConverter(call.count("cut"))
     rows: list[Json] = []
     times: list[Json] = []
     cursor = ""
@@ -252,7 +252,7 @@ def _plot(call: ApiCall) -> Json:
     return shown_series(series)
 
 
-def window_of(call: ApiCall) -> Window:
+def window_of(call: ApiCall) -> PlotWindow:
     """Return the time range, the pixels and the time limit of a plot."""
     pixels = call.count("pixels") or PIXELS
     if pixels > MOST_PIXELS:
@@ -261,7 +261,7 @@ def window_of(call: ApiCall) -> Window:
     low, high = call.time_ns("start"), call.time_ns("end")
     if low is not None and high is not None and low > high:
         raise InvalidOption("start lies after end")
-    return Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
+    return PlotWindow(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
 
 
 def shown_series(series: Series) -> dict[str, Json]:

@@ -15,7 +15,7 @@ from typing import cast
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-from cassandra_ros.viewing.viewer_settings import Limits
+from cassandra_ros.viewing.viewer_settings import ClientLimits
 
 _ACCEPTING_SEC = 1.0
 """Maximum time from the acceptance of a connection until the server lists it, s."""
@@ -30,7 +30,7 @@ class Clients:
         limits: Maximum number of connections, and maximum time for the head of their first request.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: ClientLimits) -> None:
         self._limits = limits
         self._server: web.Server | None = None
         self._awaited: dict[web.RequestHandler, asyncio.TimerHandle] = {}

@@ -13,7 +13,7 @@ from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most, shown_ns
-from cassandra_ros.viewing.lossless_json import Cells
+from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, whose_of
 
@@ -75,7 +75,7 @@ def _exact(value: object) -> Json:
         return {name: _exact(each) for name, each in value.items()}
     if isinstance(value, list):
         return [_exact(each) for each in value]
-    return Cells(None).shown(value)
+    return JsonConverter(None).shown(value)
 
 
 ROUTES: tuple[Route, ...] = (

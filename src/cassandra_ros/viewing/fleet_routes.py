@@ -58,14 +58,14 @@ from cassandra_ros.viewing import (
     note_routes,
     timeline_routes,
 )
-from cassandra_ros.viewing.answers import Answer, Bytes, Json, Stream
+from cassandra_ros.viewing.answers import Answer, Bytes, Json, StreamedBody
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.message_frames import CONTENT_TYPE, frames
 from cassandra_ros.viewing.openapi import describe
 from cassandra_ros.viewing.route import Route
 from cassandra_ros.viewing.routes import ROUTES
 
-_Told = Union[Dict[str, Json], Bytes, Stream]
+_Told = Union[Dict[str, Json], Bytes, StreamedBody]
 _Work = Callable[[ApiCall, FleetAnswer], _Told]
 
 
@@ -77,7 +77,7 @@ def _of_all(work: _Work, call: ApiCall) -> Answer:
         found = settled(stores, lambda: work(call, stores))
     finally:
         fleet.note(stores)
-    if isinstance(found, Stream):
+    if isinstance(found, StreamedBody):
         return found
     if isinstance(found, Bytes):
         away = {"X-Missing": json.dumps(stores.missing)} if stores.partial else {}
@@ -302,7 +302,7 @@ def _is_shown(row: FleetRow) -> bool:
 
 def _stream(
     call: ApiCall, stores: FleetAnswer, rows: Iterator[FleetRow], limit: int | None = None
-) -> Stream:
+) -> StreamedBody:
     """Return messages as frames, and note at the end which stores did not answer."""
 
     def chunks() -> Iterator[bytes]:
@@ -311,7 +311,7 @@ def _stream(
         finally:
             call.fleet.note(stores)
 
-    return Stream(chunks(), CONTENT_TYPE)
+    return StreamedBody(chunks(), CONTENT_TYPE)
 
 
 def _latest(call: ApiCall, stores: FleetAnswer) -> _Told:

@@ -21,7 +21,7 @@ from aiohttp.typedefs import Handler
 
 from cassandra_ros.client.sql.statement_processes import AT_ONCE
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
-from cassandra_ros.viewing.answers import Bytes, CachedFile, Stream, json_bytes
+from cassandra_ros.viewing.answers import Bytes, CachedFile, StreamedBody, json_bytes
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.file_answer import send_file
 from cassandra_ros.viewing.route import Route
@@ -174,7 +174,7 @@ class _Chunks:
         stream: The answer of a handler.
     """
 
-    def __init__(self, stream: Stream) -> None:
+    def __init__(self, stream: StreamedBody) -> None:
         self.stream = stream
         self._chunks: Iterator[bytes] = stream.chunks
         self._lock = threading.Lock()  # a running generator cannot be closed
@@ -197,7 +197,7 @@ def _work(route: Route, call: ApiCall) -> Bytes | CachedFile | _Chunks:
     answer = route.answer(call)
     if isinstance(answer, (Bytes, CachedFile)):
         return answer
-    if isinstance(answer, Stream):
+    if isinstance(answer, StreamedBody):
         chunks = _Chunks(answer)
         if call.gone.is_set():
             chunks.close()

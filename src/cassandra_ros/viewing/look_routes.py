@@ -24,7 +24,7 @@ from cassandra_ros.topics.overview.latest_messages import Latest
 from cassandra_ros.topics.overview.timeline.lanes import Lane, Picture, View
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.viewing.answers import Json, Stream
+from cassandra_ros.viewing.answers import Json, StreamedBody
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import shown_ns
 from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
@@ -174,12 +174,12 @@ def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> J
     }
 
 
-def _messages(call: ApiCall) -> Stream:
+def _messages(call: ApiCall) -> StreamedBody:
     read, limit = page_read(call, whose_of(call))
     # Messages stored under names are not played: /api/latest has them.
     tables = [table for table in _shown(call) if not table.named]
     rows = call.catalog.keyspace.rows.read(tables, read)
-    return Stream(frames(until_gone(call, rows), limit), CONTENT_TYPE)
+    return StreamedBody(frames(until_gone(call, rows), limit), CONTENT_TYPE)
 
 
 def page_read(call: ApiCall, whose: Whose) -> tuple[Read, int]:
@@ -194,9 +194,11 @@ def page_read(call: ApiCall, whose: Whose) -> tuple[Read, int]:
     return Read(time_range, whose, after=None if after is None else decode_cursor(after)), limit
 
 
-def _latest(call: ApiCall) -> Stream:
+def _latest(call: ApiCall) -> StreamedBody:
     finder = call.cached(_Finders).of(_shown(call), whose_of(call))
-    return Stream(frames(until_gone(call, iter(finder.before(*moment_of(call))))), CONTENT_TYPE)
+    return StreamedBody(
+        frames(until_gone(call, iter(finder.before(*moment_of(call))))), CONTENT_TYPE
+    )
 
 
 def moment_of(call: ApiCall) -> tuple[int, int]:

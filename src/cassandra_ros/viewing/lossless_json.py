@@ -21,7 +21,7 @@ _FEWER = (
 )
 
 
-class Cells:
+class JsonConverter:
     """A converter of values to JSON for one answer.
 
     Args:

@@ -25,7 +25,7 @@ _USUAL_MARKS = 2000
 
 
 @dataclass(frozen=True)
-class Mark:
+class TimelineMark:
     """An event at a time or in a time range."""
 
     kind: str
@@ -82,9 +82,9 @@ def listed_marks(
     return {"marks": listed, "left_off": max(len(marks) - limit, 0)}
 
 
-def _of_loss(loss: Loss, runs: Mapping[tuple[int, str], Run]) -> Mark:
+def _of_loss(loss: Loss, runs: Mapping[tuple[int, str], Run]) -> TimelineMark:
     run = runs.get((loss.writer, loss.node))
-    return Mark(
+    return TimelineMark(
         kind="loss",
         first_ns=loss.first_ns,
         last_ns=loss.last_ns,
@@ -96,7 +96,7 @@ def _of_loss(loss: Loss, runs: Mapping[tuple[int, str], Run]) -> Mark:
     )
 
 
-def _of_run(run: Run) -> Iterator[Mark]:
+def _of_run(run: Run) -> Iterator[TimelineMark]:
     if run.kind == "import":
         return
     name = run.name or str(run.writer)
@@ -105,7 +105,7 @@ def _of_run(run: Run) -> Iterator[Mark]:
     for kind, time in (("begin", run.started), ("end", run.ended)):
         if time is not None:
             ns = to_ns(time)
-            yield Mark(kind, ns, ns, run.node, name, text)
+            yield TimelineMark(kind, ns, ns, run.node, name, text)
 
 
 ROUTES: tuple[Route, ...] = (

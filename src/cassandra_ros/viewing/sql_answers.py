@@ -27,7 +27,7 @@ from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.query.tree.json_values import to_json
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
-from cassandra_ros.viewing.lossless_json import Cells
+from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.selection_parameters import whose_of
 
 
@@ -46,7 +46,7 @@ def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Watch) -> Json:
     """
     if call.text("after"):
         raise InvalidOption("after: the rows of a statement in SQL come as one page; see limit")
-    cells = Cells(call.count("cut"))
+    cells = JsonConverter(call.count("cut"))
     rows: list[Json] = []
     times: list[Json] = []
     kinds: list[Json] = []
@@ -63,7 +63,7 @@ def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Watch) -> Json:
 
 
 def _add_rows(
-    cells: Cells,
+    cells: JsonConverter,
     rows: list[Json],
     found: Iterator[tuple[Sequence[object], Json]],
     times: list[Json],
@@ -106,7 +106,7 @@ def _rows_of(batch: Any) -> Iterator[Sequence[object]]:
 
 
 def _plain(value: Any) -> object:
-    """Return a value as Cells takes it: a message is JSON text, a time outside of ROS ns."""
+    """Return a value for a JsonConverter: a message is JSON text, a time outside of ROS ns."""
     if isinstance(value, dict):
         return to_json(printable_value(value))
     if isinstance(value, list):

@@ -23,7 +23,7 @@ def _web_folder() -> Path:
 
 
 @dataclass(frozen=True)
-class Limits:
+class ClientLimits:
     """Limits for each client of a viewer, and for all clients together."""
 
     clients: int = 128
@@ -64,7 +64,7 @@ class ViewerSettings:
     """Maximum number of requests that are answered at the same time; further ones wait."""
     store_pause_sec: float = 30.0
     """Minimum time until one of several stores that did not answer is asked again, s."""
-    limits: Limits = Limits()
+    limits: ClientLimits = ClientLimits()
     """Limits for clients."""
     web: Path = field(default_factory=_web_folder)
     """Folder of the viewer's own pages."""

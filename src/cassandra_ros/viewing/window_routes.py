@@ -30,7 +30,7 @@ from cassandra_ros.topics.overview.content_version import content_version
 from cassandra_ros.topics.overview.latched_messages import latched_before
 from cassandra_ros.topics.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.topics.row_finder import Where, range_between
-from cassandra_ros.viewing.answers import Answer, CachedFile, Stream
+from cassandra_ros.viewing.answers import Answer, CachedFile, StreamedBody
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.download_cache import DownloadCache
 from cassandra_ros.viewing.route import Parameter, Route
@@ -159,7 +159,7 @@ def _answer(call: ApiCall, ending: str) -> Answer:
 
     if streamed:
         disposition = f'attachment; filename="{name}"'
-        return Stream(
+        return StreamedBody(
             chunks(),
             _CONTENT_TYPES[ending],
             {"Content-Disposition": disposition, "ETag": f'"{key}"'},

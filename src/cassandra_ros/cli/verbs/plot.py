@@ -108,11 +108,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(ros_cas: RosCassandra, statement: str, options: argparse.Namespace) -> Series:
-    from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, Window
+    from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PlotWindow
 
     start, end = read_times(options)
     pixels = options.size[0] if options.xy is None else MOST_PIXELS
-    window = Window(None if start is None else start.ns, None if end is None else end.ns, pixels)
+    window = PlotWindow(
+        None if start is None else start.ns, None if end is None else end.ns, pixels
+    )
     return ros_cas.statements.series(
         statement, window=window, node=options.node_id, run=options.run
     )

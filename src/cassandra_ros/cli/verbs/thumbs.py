@@ -41,7 +41,7 @@ from cassandra_ros.printable import shown
 if TYPE_CHECKING:
     from cassandra_ros.topics.catalog import Catalog
     from cassandra_ros.topics.overview.time_sample import MessageChoice
-    from cassandra_ros.viewing.drawing.contact_sheet import Cell
+    from cassandra_ros.viewing.drawing.contact_sheet import CaptionedPicture
 
 MAX_PICTURES = 1000
 MAX_WIDTH = 2000
@@ -56,7 +56,7 @@ class _Thumbnail:
 
     t: int
     node: str
-    cell: Cell
+    cell: CaptionedPicture
     """The cell of the sheet, still without caption."""
     problem: CassandraRosError | None = None
 
@@ -140,7 +140,7 @@ def _draw(
     """Read and draw the messages, one after the other."""
     from cassandra_ros.messages.stamps import seconds_to_ns
     from cassandra_ros.topics.overview.time_sample import spaced_rows
-    from cassandra_ros.viewing.drawing.contact_sheet import Cell
+    from cassandra_ros.viewing.drawing.contact_sheet import CaptionedPicture
     from cassandra_ros.viewing.drawing.images import picture_of
 
     every_ns = seconds_to_ns(options.every) if options.every else 0
@@ -149,9 +149,9 @@ def _draw(
         try:
             picture = picture_of(row, options.width)
             picture.thumbnail((options.width, 2 * options.width))  # limits very high pictures
-            yield _Thumbnail(row.t, row.node, Cell("", picture))
+            yield _Thumbnail(row.t, row.node, CaptionedPicture("", picture))
         except (CorruptMessage, UnknownEncoding, MessageNotFound) as exc:
-            yield _Thumbnail(row.t, row.node, Cell("", None), exc)
+            yield _Thumbnail(row.t, row.node, CaptionedPicture("", None), exc)
 
 
 def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> MessageChoice:

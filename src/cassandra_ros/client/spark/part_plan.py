@@ -23,7 +23,7 @@ _MIN_PART_BYTES = 1024 * 1024
 as long as starting a task and connecting to the store."""
 
 
-class Piece(NamedTuple):
+class RobotTimeRange(NamedTuple):
     """Messages of one robot, or of all, in a time range."""
 
     node: str | None = None
@@ -34,7 +34,7 @@ class Piece(NamedTuple):
     """Last time, ns, included."""
 
 
-SparkPartition = List[Piece]
+SparkPartition = List[RobotTimeRange]
 """What one partition reads."""
 
 
@@ -75,7 +75,9 @@ def plan_parts(
                 f"messages of topic {tables[0].metadata.topic} are kept under names, which have no "
                 "order: leave start and end out"
             )
-        return [[Piece(node) for node in ((None,) if whose.nodes is None else whose.nodes)]]
+        return [
+            [RobotTimeRange(node) for node in ((None,) if whose.nodes is None else whose.nodes)]
+        ]
     low, high = time_range_between(keyspace, tables, *times)
     buckets = followed(
         tables, lambda now: _buckets(keyspace.directory, now, (low, min(high, MAX_NS)), whose)
@@ -127,7 +129,7 @@ def pack(buckets: dict[str, list[BucketRange]], part_bytes: int) -> list[SparkPa
             if part and part[-1].node == node:
                 part[-1] = part[-1]._replace(high=bucket.high)
             else:
-                part.append(Piece(node, begin, bucket.high))
+                part.append(RobotTimeRange(node, begin, bucket.high))
             size += bucket.size
             end = bucket.high
     return parts

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Iterable, Iterator, Sequence
 
-from cassandra_ros.client.spark.part_plan import Piece, SparkPartition
+from cassandra_ros.client.spark.part_plan import RobotTimeRange, SparkPartition
 from cassandra_ros.client.spark.spark_types import spark_batch, spark_schema
 from cassandra_ros.client.spark.store_login import StoreLogin
 from cassandra_ros.errors import StoreUnavailable
@@ -19,11 +19,11 @@ from cassandra_ros.topics.run_finder import RunName
 if TYPE_CHECKING:
     import pyarrow
 
-_EVERYTHING = Piece()
+_EVERYTHING = RobotTimeRange()
 
 
 @dataclass(frozen=True)
-class Selection:
+class FrameSelection:
     """The messages and columns of a topic that all partitions read."""
 
     topic: str
@@ -31,7 +31,7 @@ class Selection:
     where: Where | None
     run: RunName
 
-    def reader(self, topic: CassandraTopic, piece: Piece = _EVERYTHING) -> Any:
+    def reader(self, topic: CassandraTopic, piece: RobotTimeRange = _EVERYTHING) -> Any:
         """Return a pyarrow.RecordBatchReader of the messages of a piece."""
         # As Stamps, because a small integer is refused as one that may mean seconds.
         low, high = (None if t is None else Stamp.from_ns(t) for t in (piece.low, piece.high))
@@ -51,7 +51,7 @@ class PartReader:
     def __init__(
         self,
         store: StoreLogin,
-        selection: Selection,
+        selection: FrameSelection,
         parts: Sequence[SparkPartition],
         schema: pyarrow.Schema,
     ) -> None:
@@ -71,7 +71,7 @@ class PartReader:
                         for found in self._read(topic, piece):
                             yield spark_batch(found, schema)
 
-    def _read(self, topic: CassandraTopic, piece: Piece) -> Iterator[pyarrow.RecordBatch]:
+    def _read(self, topic: CassandraTopic, piece: RobotTimeRange) -> Iterator[pyarrow.RecordBatch]:
         reader = self._selection.reader(topic, piece)
         if reader.schema != self._schema:
             raise StoreUnavailable(

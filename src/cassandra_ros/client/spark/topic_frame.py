@@ -9,7 +9,7 @@ from typing import Any, Iterable
 
 from cassandra_ros.arguments import check_integer, check_list, check_node
 from cassandra_ros.client.spark.part_plan import MAX_PART_BYTES, plan_parts
-from cassandra_ros.client.spark.part_reader import PartReader, Selection
+from cassandra_ros.client.spark.part_reader import FrameSelection, PartReader
 from cassandra_ros.client.spark.spark_types import spark_schema
 from cassandra_ros.client.spark.store_login import StoreLogin
 from cassandra_ros.errors import InvalidName, MissingDependency
@@ -86,7 +86,7 @@ def topic(
     check_integer("part_bytes", part_bytes, 1, _MOST_BYTES)
     store = StoreLogin.read(host, port, keyspace, login)
     names = None if fields is None else check_list("fields", fields, "['linear.x']")
-    selection = Selection(name, names, where, run)
+    selection = FrameSelection(name, names, where, run)
     with store.open() as ros_cas:
         stored = ros_cas.getTopic(name)
         reader = selection.reader(stored)

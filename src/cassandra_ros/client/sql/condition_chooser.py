@@ -11,7 +11,7 @@ import numpy as np
 from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
-from cassandra_ros.query.protocols import Block, Table
+from cassandra_ros.query.protocols import Table, UnpackedMessages
 from cassandra_ros.query.tree.syntax import Expression
 from cassandra_ros.read import Query, Sift
 
@@ -77,7 +77,7 @@ class ConditionChooser:
         # The sift may check messages of any size by their heads, also those that fit no stack.
         by_head = all(path in finder.head for path in paths)
 
-        def sift_but_nan(block: Block) -> Any:
+        def sift_but_nan(block: UnpackedMessages) -> Any:
             mask = sift(block)
             if mask is None:
                 return None

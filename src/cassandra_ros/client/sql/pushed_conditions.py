@@ -30,9 +30,9 @@ from cassandra_ros.query.tree.syntax import (
     Compare,
     Either,
     Expression,
+    FieldPath,
     Literal,
     OneOf,
-    Path,
     PathPart,
 )
 from cassandra_ros.read import ALWAYS, LAST_NS, TimeRange
@@ -49,7 +49,7 @@ _BELOW, _ABOVE = ("LT", "LTE"), ("GT", "GTE")
 
 
 @dataclass(frozen=True)
-class FieldColumn:
+class ComparableColumn:
     """A column, or a field in it, with which a condition may compare."""
 
     kind: str
@@ -58,7 +58,7 @@ class FieldColumn:
     """Dotted path of the field in the messages."""
 
 
-ColumnOf = Callable[[Sequence[str]], "FieldColumn | None"]
+ColumnOf = Callable[[Sequence[str]], "ComparableColumn | None"]
 """Function from the names in a statement to a column of a table; None: it has none, or no simple
 one."""
 Evaluate = Callable[[str, AbstractSet[str]], Any]
@@ -371,7 +371,7 @@ class _Names:
         self._whole = self._whole and None not in self._columns_of.values()
         self._given = {each.alias.lower() for each in of.expressions if each.alias}
 
-    def column(self, node: Any) -> FieldColumn | None:
+    def column(self, node: Any) -> ComparableColumn | None:
         """Return the column of the table that an expression is; None = it is not one."""
         chain = self._chain(node.unnest())
         if not chain:
@@ -398,7 +398,7 @@ class _Names:
 
 
 def _implied_bounds(
-    column: FieldColumn, operator: str, joined: FieldColumn, read: PushedRead
+    column: ComparableColumn, operator: str, joined: ComparableColumn, read: PushedRead
 ) -> PushedRead:
     """Return what ``column operator joined`` says of a column, if ``read`` holds for the other."""
     if column.kind != joined.kind:
@@ -415,7 +415,7 @@ def _implied_bounds(
     return EVERYTHING
 
 
-def _bounds(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+def _bounds(column: ComparableColumn, operator: str, value: Any) -> PushedRead | None:
     if column.kind == "key":
         return _time_bounds(operator, value)
     if column.kind in ("node", "run"):
@@ -436,24 +436,24 @@ def _time_bounds(operator: str, ns: int) -> PushedRead:
     )
 
 
-def _time_condition(column: FieldColumn, operator: str, ns: int) -> PushedRead:
+def _time_condition(column: ComparableColumn, operator: str, ns: int) -> PushedRead:
     return _between(column, operator, ns - WIDER_NS, ns + WIDER_NS)
 
 
-def _text_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+def _text_condition(column: ComparableColumn, operator: str, value: Any) -> PushedRead | None:
     # A text with a backslash may be one whose bytes are not UTF-8.
     if operator != "EQ" or not isinstance(value, str) or "\\" in value:
         return None
     return PushedRead(condition=OneOf(_path(column), (Literal(value, 0),)))
 
 
-def _bool_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+def _bool_condition(column: ComparableColumn, operator: str, value: Any) -> PushedRead | None:
     if operator != "EQ" or not isinstance(value, bool):
         return None
     return PushedRead(condition=Compare(_path(column), "=", Literal(value, 0)))
 
 
-def _int_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+def _int_condition(column: ComparableColumn, operator: str, value: Any) -> PushedRead | None:
     if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
         return None
     if isinstance(value, float) and not abs(value) < _EXACT_FLOAT:
@@ -461,7 +461,7 @@ def _int_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead
     return _between(column, operator, math.floor(value), math.ceil(value))
 
 
-def _float_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+def _float_condition(column: ComparableColumn, operator: str, value: Any) -> PushedRead | None:
     if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
         return None
     dtype = np.dtype(column.kind).type
@@ -478,7 +478,7 @@ def _float_condition(column: FieldColumn, operator: str, value: Any) -> PushedRe
     return replace(read, floats=frozenset([column.path])) if operator in _ABOVE else read
 
 
-_CONDITIONS: Mapping[str, Callable[[FieldColumn, str, Any], PushedRead | None]] = {
+_CONDITIONS: Mapping[str, Callable[[ComparableColumn, str, Any], PushedRead | None]] = {
     "time": _time_condition,
     "text": _text_condition,
     "bool": _bool_condition,
@@ -489,7 +489,7 @@ _CONDITIONS: Mapping[str, Callable[[FieldColumn, str, Any], PushedRead | None]] 
 """Makes the condition on a field, by the kind of its column."""
 
 
-def _between(column: FieldColumn, operator: str, low: Any, high: Any) -> PushedRead:
+def _between(column: ComparableColumn, operator: str, low: Any, high: Any) -> PushedRead:
     path = _path(column)
     bounds: list[Expression] = []
     if operator not in _BELOW:
@@ -499,5 +499,5 @@ def _between(column: FieldColumn, operator: str, low: Any, high: Any) -> PushedR
     return PushedRead(condition=bounds[0] if len(bounds) == 1 else All(tuple(bounds)))
 
 
-def _path(column: FieldColumn) -> Path:
-    return Path(tuple(PathPart(name, None, 0) for name in column.path.split(".")), 0)
+def _path(column: ComparableColumn) -> FieldPath:
+    return FieldPath(tuple(PathPart(name, None, 0) for name in column.path.split(".")), 0)

@@ -14,7 +14,7 @@ from cassandra_ros.read import LAST_NS
 
 
 @dataclass(frozen=True)
-class TopicReport:
+class TopicReadReport:
     """What was read of one topic."""
 
     topic: str
@@ -62,7 +62,7 @@ class SqlExplanation:
     """Report of how a statement was answered; ``str()`` is for people."""
 
     statement: str
-    topics: tuple[TopicReport, ...]
+    topics: tuple[TopicReadReport, ...]
     rows_returned: int
     plan: str
     """DuckDB's plan, as it draws it."""
@@ -73,12 +73,12 @@ class SqlExplanation:
         return "\n".join([self.statement.strip(), *reports, rows, self.plan])
 
 
-def explain_source(source: TopicSource) -> TopicReport:
+def explain_source(source: TopicSource) -> TopicReadReport:
     """Return what was read of a topic."""
     pushed, choosers = source.pushed, source.choosers
     low, high = pushed.time_range
     names = (field_names(field.name, field.type) for field in source.columns)
-    return TopicReport(
+    return TopicReadReport(
         topic=source.topic.name,
         columns=tuple(name for each in names for name in each),
         first_ns=low or None,

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Any, Sequence
 
 from cassandra_ros.client.sql.event_names import EVENT
-from cassandra_ros.client.sql.pushed_conditions import FieldColumn
+from cassandra_ros.client.sql.pushed_conditions import ComparableColumn
 from cassandra_ros.query.arrays.arrow_batches import ArrowSchema
 from cassandra_ros.query.arrays.arrow_types import ArrowField
 from cassandra_ros.query.protocols import Table
@@ -34,18 +34,18 @@ class TableColumns:
         self._named = found.named
         self._fields = list(found.fields.values())
 
-    def find(self, names: Sequence[str]) -> FieldColumn | None:
+    def find(self, names: Sequence[str]) -> ComparableColumn | None:
         """Return a column, or a field in a message; None = no such column, or it is an array."""
         own = self._own.get(names[0].lower()) if len(names) == 1 else None
         if own is not None:
-            return FieldColumn("text" if self._named and own == "key" else own)
+            return ComparableColumn("text" if self._named and own == "key" else own)
         paths = {_path(fields, names) for fields in self._fields} - {None}
         kind = self._kind(names)
         if kind is None or len(paths) != 1:
             return None
         if kind == "text" and not all(_is_text(fields, names) for fields in self._fields):
             return None  # in some definition the field is no string, and the column shows its text
-        return FieldColumn(kind, paths.pop() or "")
+        return ComparableColumn(kind, paths.pop() or "")
 
     def _kind(self, names: Sequence[str]) -> str | None:
         fields: Any = self.schema

@@ -225,7 +225,7 @@ def _find_index(file: BinaryIO, name: str) -> IndexPlace:
     return IndexPlace(file, index_pos, index_pos, connections, chunks)
 
 
-def read_start(file: BinaryIO, name: str) -> bagformat.Record:
+def read_start(file: BinaryIO, name: str) -> bagformat.BagRecord:
     """Read the first record of a bag of format 2.0, and check that we can read the bag.
 
     Raises:
@@ -302,7 +302,7 @@ def check_header(header: bytes, where: str) -> None:
             raise BagError(f"{where} is damaged: its header states no {name.decode()}")
 
 
-class _Damage(NamedTuple):
+class _BagDamage(NamedTuple):
     """Damage of a bag."""
 
     why: str
@@ -421,7 +421,7 @@ class _Scan:
                 elif kind == bagformat.OP_INDEX:
                     self.file.seek(self._length(), os.SEEK_CUR)
                     if self.file.tell() > size:  # the chunk before it has been read
-                        damage = _Damage(f"is cut short after {size} bytes", size)
+                        damage = _BagDamage(f"is cut short after {size} bytes", size)
                 else:
                     raise BagError(f"a record of kind {kind}")
             except BagTooLarge as exc:
@@ -430,7 +430,7 @@ class _Scan:
                 return
             except BagError:
                 why = f"is cut short or damaged at byte {position} of {size}"
-                damage = _Damage(why, position)
+                damage = _BagDamage(why, position)
             if damage is not None:
                 following = _find_chunk(self.file, max(damage.at, position + 1))
                 self.salvaged.behind |= following is not None
@@ -459,7 +459,7 @@ class _Scan:
         raw = self.file.read(4)
         return int(bagformat.U32.unpack(raw)[0]) if len(raw) == 4 else 2**32
 
-    def _chunk(self, position: int, fields: bagformat.Fields, size: int) -> _Damage | None:
+    def _chunk(self, position: int, fields: bagformat.Fields, size: int) -> _BagDamage | None:
         """Collect the messages of a chunk up to the damage, if there is any."""
         where = f"{self.path}: chunk {len(self.infos) + 1}"
         compression = fields.get(b"compression", b"").decode("utf-8", "replace")
@@ -494,7 +494,7 @@ class _Scan:
         why = f"is cut short or damaged in the chunk that begins at byte {position} of {size}"
         if large:
             why += f" (it states {declared} bytes of content, --allow-large-chunks reads it)"
-        return _Damage(why, data_pos + end * (compression == "none"))
+        return _BagDamage(why, data_pos + end * (compression == "none"))
 
 
 def _chunk_info(position: int, times: list[int], counts: Counter[int]) -> bytes:

@@ -63,7 +63,7 @@ NewFields = Iterable[Tuple[bytes, Union[bytes, int]]]
 """Names and values of the fields of a header that is to be written."""
 
 
-class Record(NamedTuple):
+class BagRecord(NamedTuple):
     """The header of a record in a file, and the position and size of its data, bytes."""
 
     fields: Fields
@@ -131,7 +131,7 @@ def pack_time(t_ns: int) -> bytes:
     return _TIME.pack(*divmod(t_ns, SECOND_NS))
 
 
-def read_record(file: BinaryIO, op: int, where: str) -> Record:
+def read_record(file: BinaryIO, op: int, where: str) -> BagRecord:
     """Read the header of the record at the current file position, and stop before its data.
 
     Raises:
@@ -144,7 +144,7 @@ def read_record(file: BinaryIO, op: int, where: str) -> Record:
     if found != op:
         raise BagError(f"{where} is damaged: at byte {start} stands a record of kind {found}")
     data_bytes = _length(file, where)
-    return Record(fields, file.tell(), data_bytes)
+    return BagRecord(fields, file.tell(), data_bytes)
 
 
 def read_header(file: BinaryIO, where: str) -> Fields:
@@ -301,7 +301,7 @@ _PYTHON = (
 _FIXED_BYTES = _MESSAGE_HEAD.size
 
 
-class _Layout(NamedTuple):
+class _HeadLayout(NamedTuple):
     """The bytes before a serialised message, for one order of the header fields."""
 
     head: NDArray[np.uint8]
@@ -311,7 +311,7 @@ class _Layout(NamedTuple):
     """Positions of the numbers in head: connection id, seconds and nanoseconds, message size."""
 
 
-def _layout(order: Sequence[bytes]) -> _Layout:
+def _layout(order: Sequence[bytes]) -> _HeadLayout:
     header = pack_fields((name, OP_MESSAGE * (name == b"op")) for name in order)
     head = U32.pack(len(header)) + header + U32.pack(0)
     ends = [head.index(name) + len(name) for name in (b"conn=", b"time=")]
@@ -319,7 +319,7 @@ def _layout(order: Sequence[bytes]) -> _Layout:
     mask = np.full(len(head), 255, np.uint8)
     for place in numbers:
         mask[place] = 0
-    return _Layout(np.frombuffer(head, np.uint8), mask, numbers)
+    return _HeadLayout(np.frombuffer(head, np.uint8), mask, numbers)
 
 
 _LAYOUTS = [_layout(order) for order in permutations((b"op", b"conn", b"time"))]

@@ -64,7 +64,7 @@ AHEAD_BYTES = 8 * 1024 * 1024
 """Maximum size of the messages that wait for the caller, bytes. One batch may always wait."""
 
 
-class ReadAhead:
+class BatchReadAhead:
     """An iterator over batches that a separate thread reads; a context manager that stops it.
 
     An error of the reading thread is raised after the last batch that was read before it.
@@ -82,7 +82,7 @@ class ReadAhead:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, daemon=True, name="cassandra_ros-bag")
 
-    def __enter__(self) -> ReadAhead:
+    def __enter__(self) -> BatchReadAhead:
         self._thread.start()
         return self
 
@@ -265,7 +265,7 @@ def import_bag(
         if reader.has_publish_times:
             store_publish_times(keyspace.side_tables, reader, run)
         # The bag is read while its tables are made.
-        with ReadAhead(_batches(reader, wanted.keys())) as ahead, MessageWriter(
+        with BatchReadAhead(_batches(reader, wanted.keys())) as ahead, MessageWriter(
             keyspace,
             writer_id,
             format=format,
@@ -534,7 +534,7 @@ def _batches(reader: MessageFile, numbers: AbstractSet[int]) -> Iterator[Message
 
 
 def _write_messages(
-    ahead: ReadAhead,
+    ahead: BatchReadAhead,
     writer: MessageWriter,
     handles: dict[int, Handle],
     report: ImportReport,

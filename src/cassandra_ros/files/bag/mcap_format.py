@@ -72,10 +72,10 @@ Parsed = TypeVar("Parsed", Channel, Footer, Header, Metadata, Schema, Statistics
 TOO_LATE = -1
 """Time of a message whose log_time lies after the last time of ROS 1, in the year 2106."""
 CUT = 0
-"""Kind of a Record that marks the end of a file that is cut short. No real record has kind 0."""
+"""Kind of a McapRecord that marks the end of a file that is cut short. No real record has it."""
 
 
-class Record(NamedTuple):
+class McapRecord(NamedTuple):
     """The position of a record in a file."""
 
     kind: int
@@ -119,7 +119,7 @@ class Messages(NamedTuple):
         return Messages(*(column[~late] for column in self)) if late.any() else self
 
 
-def walk(file: BinaryIO, path: str) -> Iterator[Record]:
+def walk(file: BinaryIO, path: str) -> Iterator[McapRecord]:
     """Yield the records of a file, but not those inside chunks.
 
     The caller may move the file position between two records. The last record is the footer. If the
@@ -134,13 +134,13 @@ def walk(file: BinaryIO, path: str) -> Iterator[Record]:
         kind, length = RECORD.unpack(head) if len(head) == RECORD.size else (CUT, 0)
         start = position + RECORD.size
         if kind == CUT or start + length > file_bytes:
-            yield Record(CUT, position, file_bytes)
+            yield McapRecord(CUT, position, file_bytes)
             return
         position = start + length
-        yield Record(kind, start, position)
+        yield McapRecord(kind, start, position)
     file.seek(position)
     if file.read(len(MAGIC)) != MAGIC:
-        yield Record(CUT, position, file_bytes)
+        yield McapRecord(CUT, position, file_bytes)
 
 
 def parse(kind: type[Parsed], raw: bytes, where: str) -> Parsed:
@@ -157,7 +157,7 @@ def parse(kind: type[Parsed], raw: bytes, where: str) -> Parsed:
         raise BagError(f"{where} is damaged: {kind.__name__.lower()} record: {why}") from exc
 
 
-def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
+def check_summary(file: BinaryIO, footer: McapRecord, path: str) -> None:
     """Check the summary section of a file with the crc in its footer, if there is one.
 
     Raises:
@@ -181,8 +181,8 @@ def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
 
 
 def read_chunk_head(
-    file: BinaryIO, record: Record, where: str, cut: bool = False
-) -> tuple[ChunkHead, Record]:
+    file: BinaryIO, record: McapRecord, where: str, cut: bool = False
+) -> tuple[ChunkHead, McapRecord]:
     """Read the fields before the compressed records of a chunk.
 
     Args:
@@ -206,11 +206,11 @@ def read_chunk_head(
         if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns:
             compression = name.decode("ascii", "replace") or "none"
             head = ChunkHead(start_ns, end_ns, size, crc, compression)
-            return head, Record(record.kind, start, min(start + length, record.stop))
+            return head, McapRecord(record.kind, start, min(start + length, record.stop))
     raise BagError(f"{where} is damaged: the head of the chunk at byte {record.start}")
 
 
-def count_of_index(file: BinaryIO, record: Record, where: str) -> tuple[int, int]:
+def count_of_index(file: BinaryIO, record: McapRecord, where: str) -> tuple[int, int]:
     """Return the channel id of a message index and the number of messages that it lists."""
     file.seek(record.start)
     raw = file.read(INDEX.size)
@@ -278,7 +278,7 @@ def _unpack(head: ChunkHead, data: bytes) -> bytes:
     raise KeyError(head.compression)
 
 
-def records_of(content: bytes, where: str, position: int = 0) -> Iterator[Record]:
+def records_of(content: bytes, where: str, position: int = 0) -> Iterator[McapRecord]:
     """Yield the records in some bytes, beginning at an offset.
 
     Raises:
@@ -291,13 +291,13 @@ def records_of(content: bytes, where: str, position: int = 0) -> Iterator[Record
         yield record
 
 
-def record_at(content: bytes, where: str, position: int) -> Record:
+def record_at(content: bytes, where: str, position: int) -> McapRecord:
     """Return the record at an offset of some bytes; raises BagError if it runs over the end."""
     start, end = position + RECORD.size, len(content)
     kind, length = RECORD.unpack_from(content, position) if start <= end else (0, end)
     if start + length > end:
         raise BagError(f"{where} is damaged: a record at byte {position} of it runs over")
-    return Record(kind, start, start + length)
+    return McapRecord(kind, start, start + length)
 
 
 def offsets_of_indexes(raw: bytes) -> Longs | None:

@@ -21,7 +21,7 @@ from cassandra_ros.files.bag import mcap_events
 from cassandra_ros.files.bag import mcap_format as mcapformat
 from cassandra_ros.files.bag.format import ChunkMessages, Longs, uncounted
 from cassandra_ros.files.bag.mcap_channel import to_connection, why_foreign
-from cassandra_ros.files.bag.mcap_format import ChunkHead, Messages, Record
+from cassandra_ros.files.bag.mcap_format import ChunkHead, McapRecord, Messages
 from cassandra_ros.files.bag.message_file import (
     Allowance,
     ChunkInfo,
@@ -45,12 +45,12 @@ _EXTRAS = {int(Opcode.ATTACHMENT): "attachments", int(Opcode.METADATA): "records
 class _Chunk:
     """A chunk, or consecutive messages outside of chunks."""
 
-    record: Record
+    record: McapRecord
     """Position of the compressed records."""
     head: ChunkHead
     counts: Counter[int] = field(default_factory=Counter)
     """Number of messages by channel id, without late ones; empty until they are counted."""
-    index: Record | None = None
+    index: McapRecord | None = None
     """Position of the message indexes of the chunk."""
     salvaged: bytes | None = None
     """Unpacked beginning of the chunk, if the file ends inside it or the chunk is damaged."""
@@ -220,7 +220,7 @@ class McapReader(MessageFile):
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
         return data if entry.loose else mcapformat.decompress(entry.head, data, where)
 
-    def _bytes(self, record: Record) -> bytes:
+    def _bytes(self, record: McapRecord) -> bytes:
         self._file.seek(record.start)
         return self._file.read(record.stop - record.start)
 
@@ -244,7 +244,7 @@ class McapReader(MessageFile):
             self._check_chunks()
         self._count_the_rest()
 
-    def _stop(self, damaged: Record, error: BagError) -> None:
+    def _stop(self, damaged: McapRecord, error: BagError) -> None:
         """Report the damage. If the file ends inside a chunk, keep its complete records."""
         position, file_bytes = damaged.start, os.fstat(self._file.fileno()).st_size
         self._stated = None
@@ -255,7 +255,7 @@ class McapReader(MessageFile):
         if isinstance(error, BagTooLarge):
             why = f"is read up to byte {position} of {file_bytes} only ({error})"
         self.salvaged.end(why, file_bytes - position)
-        chunk = Record(damaged.kind, position + mcapformat.RECORD.size, file_bytes)
+        chunk = McapRecord(damaged.kind, position + mcapformat.RECORD.size, file_bytes)
         self._file.seek(position)
         if damaged.kind == mcapformat.CUT and self._file.read(1) == bytes([Opcode.CHUNK]):
             with suppress(BagError):
@@ -291,7 +291,7 @@ class McapReader(MessageFile):
             if chunk.counts:  # without an index they are counted with their times later
                 chunk.counts = Counter(found.channels.tolist())
 
-    def _note(self, record: Record) -> None:
+    def _note(self, record: McapRecord) -> None:
         """Take a record outside of chunks into the index."""
         kind = record.kind
         if kind == mcapformat.CUT:
@@ -328,7 +328,7 @@ class McapReader(MessageFile):
         elif kind not in _KINDS:
             self._unknown_bytes += record.stop - record.start
 
-    def _note_event(self, record: Record) -> bool:
+    def _note_event(self, record: McapRecord) -> bool:
         """Take a record of metadata if it is an event; return whether it is."""
         size, full = record.stop - record.start, len(self.events) >= mcap_events.MAX_EVENTS
         if size > mcap_events.MAX_BYTES or full:
@@ -342,7 +342,7 @@ class McapReader(MessageFile):
         self.events.append(metadata.metadata)
         return True
 
-    def _take(self, head: ChunkHead, place: Record, position: int) -> None:
+    def _take(self, head: ChunkHead, place: McapRecord, position: int) -> None:
         """Count the unpacked size of the chunk at a file offset.
 
         Raises:
@@ -351,7 +351,7 @@ class McapReader(MessageFile):
         where, packed = f"{self.path}: the chunk at byte {position}", place.stop - place.start
         self._allowance.take(head.compression, head.size, packed, where)
 
-    def _text(self, record: Record) -> bytes:
+    def _text(self, record: McapRecord) -> bytes:
         """Read a record that describes the file."""
         if record.stop - record.start > mcapformat.MAX_TEXT_BYTES:
             raise BagError(
@@ -361,7 +361,7 @@ class McapReader(MessageFile):
             )
         return self._bytes(record)
 
-    def _note_loose(self, record: Record) -> None:
+    def _note_loose(self, record: McapRecord) -> None:
         """Add a message outside of chunks to the messages directly before it."""
         start, size = record.start - mcapformat.RECORD.size, record.stop - record.start
         self._allowance.take("none", size, size, f"{self.path}: the message at byte {start}")

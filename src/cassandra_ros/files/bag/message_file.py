@@ -127,7 +127,7 @@ MessageProgress = Callable[[int, int], None]
 Self = TypeVar("Self", bound="MessageFile")
 
 
-class RawMessage(NamedTuple):
+class FileMessage(NamedTuple):
     """A serialised message of a bag."""
 
     position: int
@@ -144,7 +144,7 @@ class MessageBatch(NamedTuple):
     number: int
     """Connection number."""
     positions: Longs
-    """Position of each message, see RawMessage."""
+    """Position of each message, see FileMessage."""
     times: Longs
     """Time of each message, ns."""
     wires: list[bytes]
@@ -155,7 +155,7 @@ class PublishTimes(NamedTuple):
     """publish_time and sequence of consecutive messages of an MCAP."""
 
     first: int
-    """Position of the first message, see RawMessage."""
+    """Position of the first message, see FileMessage."""
     delays: Longs
     """publish_time minus log_time of each message, ns."""
     sequences: Longs
@@ -320,7 +320,7 @@ class MessageFile(ABC):
 
     def messages(
         self, numbers: AbstractSet[int] | None = None, start: int = 0
-    ) -> Iterator[RawMessage]:
+    ) -> Iterator[FileMessage]:
         """Read messages in the order of the file.
 
         Args:
@@ -340,7 +340,7 @@ class MessageFile(ABC):
 
     def chunk_messages(
         self, chunk: int, numbers: AbstractSet[int] | None = None
-    ) -> Iterator[RawMessage]:
+    ) -> Iterator[FileMessage]:
         """Read the messages of one chunk; see messages."""
         info = self.chunk_info(chunk)
         if numbers is not None and numbers.isdisjoint(info.counts):
@@ -350,7 +350,7 @@ class MessageFile(ABC):
             columns = zip(*(column[first : first + _AT_ONCE].tolist() for column in messages))
             for position, (number, t_ns, start, stop) in enumerate(columns, info.first + first):
                 if numbers is None or number in numbers:
-                    yield RawMessage(position, number, t_ns, content[start:stop])
+                    yield FileMessage(position, number, t_ns, content[start:stop])
 
     def batches(self, chunk: int, numbers: AbstractSet[int]) -> Iterator[MessageBatch]:
         """Read the messages of a chunk in batches, connection by connection; see messages.
@@ -384,7 +384,7 @@ class OrderedMessage(NamedTuple):
 
 def read_in_order(
     reader: MessageFile,
-    keep: Callable[[RawMessage], bytes],
+    keep: Callable[[FileMessage], bytes],
     numbers: AbstractSet[int] | None = None,
 ) -> Iterator[OrderedMessage]:
     """Yield the messages of a bag in the order in which rosbag reads them.

@@ -67,7 +67,7 @@ class SegmentPart:
 
 
 @dataclass
-class _Damage:
+class _SegmentDamage:
     """Damage after which nothing was read yet."""
 
     at: int
@@ -142,12 +142,12 @@ class SegmentReader:
 
     def parts(self) -> Iterator[SegmentPart]:
         """Yield the messages chunk by chunk, and what is missing where the file is damaged."""
-        damage: _Damage | None = None
+        damage: _SegmentDamage | None = None
         whole: SegmentPart | None = None
         at = len(MAGIC)
         for record in self._records():
             if record.start - RECORD.size > at:
-                damage = damage or _Damage(at)
+                damage = damage or _SegmentDamage(at)
                 damage.to = record.start - RECORD.size
             at = record.stop
             if record.kind == mcap_records.INDEX_KIND and damage is not None:
@@ -166,7 +166,7 @@ class SegmentReader:
                     yield self._told(damage)
                 damage, whole = None, self._messages(record)
                 if whole is None:
-                    damage = _Damage(record.start - RECORD.size, to=record.stop)
+                    damage = _SegmentDamage(record.start - RECORD.size, to=record.stop)
                 else:
                     yield whole
             elif record.kind == mcap_records.END_KIND:
@@ -182,7 +182,7 @@ class SegmentReader:
         connection = self._connection(listed.channel)
         return [t for each, t, _, _ in whole.messages if each is connection] == list(listed.times)
 
-    def _told(self, damage: _Damage) -> SegmentPart:
+    def _told(self, damage: _SegmentDamage) -> SegmentPart:
         totals: defaultdict[str, TopicTotal] = defaultdict(TopicTotal)
         for listed in damage.indexes:
             connection = self._connection(listed.channel)

@@ -30,11 +30,11 @@ _PLAIN = re.compile(r"[ !#-\[\]-~]{1,70}")
 @lru_cache(maxsize=512)
 def echo_printer(definition: Definition) -> Callable[[MessageTree], str]:
     """Return the function that prints trees of a definition, compiled once."""
-    lines = _Compiler(definition).message(definition.type)
+    lines = _EchoCompiler(definition).message(definition.type)
     return lambda tree: "\n".join(lines(tree, ""))
 
 
-class _Compiler:
+class _EchoCompiler:
     """Makes the functions that print messages of one definition."""
 
     def __init__(self, definition: Definition) -> None:

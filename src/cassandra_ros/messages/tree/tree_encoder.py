@@ -50,7 +50,7 @@ def tree_encoder(
     missing or unknown, a number is out of range, nsecs are not within a second, an array has
     another length than its field.
     """
-    write = _Compiler(definition, as_bytes).message(definition.type)
+    write = _EncoderCompiler(definition, as_bytes).message(definition.type)
 
     def build(tree: object) -> bytes:
         parts: list[bytes] = []
@@ -64,7 +64,7 @@ def tree_encoder(
     return build
 
 
-class _Compiler:
+class _EncoderCompiler:
     """Makes the functions that write messages of one definition."""
 
     def __init__(self, definition: Definition, as_bytes: AsBytes) -> None:

@@ -178,7 +178,7 @@ def _in_batches(
         yield objects.make(columns, min(count - first, max(1, most)))
 
 
-class _Compiler:
+class _ObjectCompiler:
     """Compiles a checked definition to steps.
 
     CannotBatch: the classes are not as genpy makes them.
@@ -290,7 +290,7 @@ class ObjectMaker:
 
     def __init__(self, cls: Any, definition: Definition) -> None:
         self._cls = cls
-        self._whole = _Compiler(cls, definition).element(definition.type)
+        self._whole = _ObjectCompiler(cls, definition).element(definition.type)
         self._stamps = [
             attribute_name(field.name)
             for field in definition.root.fields

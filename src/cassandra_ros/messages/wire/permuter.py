@@ -42,7 +42,7 @@ MAX_LAYOUTS_TRIED = 8
 _Good = NDArray[np.bool_]
 
 
-class _Segment(NamedTuple):
+class _WireSegment(NamedTuple):
     """One segment: its fixed bytes, and the variable field after them."""
 
     permutation: Permutation | None
@@ -74,7 +74,7 @@ class SegmentPermuter:
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        self._segments: list[_Segment] = []
+        self._segments: list[_WireSegment] = []
         for fixed, tail in segments:
             if tail is not None and (tail.kind not in ("text", "bytes") or not tail.has_count):
                 raise NoPermutation
@@ -82,7 +82,7 @@ class SegmentPermuter:
             permutation = Permutation((Segment(fixed, None),), bytes(size)) if fixed else None
             unit = 0 if tail is None else tail.unit
             self._segments.append(
-                _Segment(permutation, unit, tail is not None and tail.kind == "text")
+                _WireSegment(permutation, unit, tail is not None and tail.kind == "text")
             )
         if not self._segments:
             raise NoPermutation

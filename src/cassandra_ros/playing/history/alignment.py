@@ -31,7 +31,7 @@ chooses a wrong overlap of equal messages when they are received half a period l
 _INLINE = 32
 
 
-class Mark(NamedTuple):
+class MessageFingerprint(NamedTuple):
     """The parts of a message that are compared."""
 
     t: int
@@ -45,7 +45,9 @@ def digest_of(wire: bytes) -> bytes:
     return wire if len(wire) <= _INLINE else hashlib.blake2b(wire, digest_size=_INLINE + 1).digest()
 
 
-def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False) -> int | None:
+def first_live(
+    stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint], sure: bool = False
+) -> int | None:
     """Find the first stored message of a publisher that is also among the live ones.
 
     Args:
@@ -78,14 +80,14 @@ class Live:
         sure: Whether equal bytes are the same message.
     """
 
-    def __init__(self, marks: Sequence[Mark], sure: bool) -> None:
+    def __init__(self, marks: Sequence[MessageFingerprint], sure: bool) -> None:
         self._times: dict[bytes, list[int]] = {}
         for mark in marks:
             self._times.setdefault(mark.digest, []).append(mark.t)
         self._sure = sure or len(marks) == len(self._times) >= CERTAIN
         self._limit = _limit((), marks)
 
-    def has(self, mark: Mark) -> bool:
+    def has(self, mark: MessageFingerprint) -> bool:
         """Return whether a stored message is one of them."""
         times = self._times.get(mark.digest)
         return times is not None and (self._sure or _nearest(times, mark.t) <= self._limit)
@@ -104,7 +106,9 @@ class _Overlap(NamedTuple):
     """Median difference of the times of the last pairs, ns."""
 
 
-def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> list[_Overlap]:
+def _overlaps(
+    stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint]
+) -> list[_Overlap]:
     """Return the possible overlaps; if there are more than NEAREST, those with the best times."""
     numbers: dict[bytes, int] = {}
     ours = [numbers.setdefault(mark.digest, len(numbers)) for mark in live]
@@ -125,7 +129,9 @@ def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> list[_Overlap]:
     return [_overlap(stored, live, k, j) for k, j in places]
 
 
-def _overlap(stored: Sequence[Mark], live: Sequence[Mark], k: int, j: int) -> _Overlap:
+def _overlap(
+    stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint], k: int, j: int
+) -> _Overlap:
     count = min(len(stored) - k, len(live) - j)
     last = range(max(0, count - PAIRS), count)
     return _Overlap(k, j, count, median(abs(stored[k + i].t - live[j + i].t) for i in last))
@@ -157,13 +163,15 @@ def _best_in_time(overlaps: Sequence[_Overlap]) -> _Overlap:
     return min(overlaps, key=lambda overlap: overlap.cost)
 
 
-def _agree(overlap: _Overlap, stored: Sequence[Mark], live: Sequence[Mark]) -> bool:
+def _agree(
+    overlap: _Overlap, stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint]
+) -> bool:
     """Return whether the times alone show that both are the same messages."""
     limit = _limit(stored, live) if overlap.pairs < FEW else TOLERANCE_NS
     return overlap.cost <= limit
 
 
-def _limit(stored: Sequence[Mark], live: Sequence[Mark]) -> float:
+def _limit(stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint]) -> float:
     """Return half the period of a publisher, ns, at most TOLERANCE_NS."""
     steps = [
         after.t - mark.t
@@ -174,11 +182,13 @@ def _limit(stored: Sequence[Mark], live: Sequence[Mark]) -> float:
     return min(TOLERANCE_NS, median(steps) / 2) if steps else TOLERANCE_NS
 
 
-def _all_differ(marks: Sequence[Mark]) -> bool:
+def _all_differ(marks: Sequence[MessageFingerprint]) -> bool:
     return len({mark.digest for mark in marks}) == len(marks)
 
 
-def _scattered(stored: Sequence[Mark], live: Sequence[Mark], sure: bool) -> int | None:
+def _scattered(
+    stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint], sure: bool
+) -> int | None:
     """Find the first common message if some are missing, by a filter or a full queue."""
     times: dict[bytes, list[int]] = {}
     for mark in live:

@@ -17,7 +17,7 @@ from collections import deque
 from typing import Callable, Mapping, NamedTuple
 
 from cassandra_ros.errors import ClockNotSet
-from cassandra_ros.playing.history.alignment import Mark, digest_of
+from cassandra_ros.playing.history.alignment import MessageFingerprint, digest_of
 
 _log = logging.getLogger(__name__)
 
@@ -58,17 +58,17 @@ class LiveMessage:
         self._digest: bytes | None = None
 
     @property
-    def mark(self) -> Mark:
+    def mark(self) -> MessageFingerprint:
         """Time and digest by which it is compared with stored messages."""
         if self._digest is None:
             self._digest = digest_of(self.wire)
-        return Mark(self.t, self._digest)
+        return MessageFingerprint(self.t, self._digest)
 
 
 class DroppedMessages(NamedTuple):
     """The messages of one publisher that were dropped for lack of room."""
 
-    first: Mark
+    first: MessageFingerprint
     number: int
     """Number of dropped messages."""
 

@@ -28,7 +28,7 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFo
 from cassandra_ros.keys import SECOND_NS, split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.playing.history.alignment import Live, Mark, digest_of, first_live
+from cassandra_ros.playing.history.alignment import Live, MessageFingerprint, digest_of, first_live
 from cassandra_ros.playing.history.live_queue import LiveQueue, Publisher, WaitingMessages
 from cassandra_ros.playing.history.stored_past import StoredPast
 from cassandra_ros.recording.message_buffer import starts_with_header
@@ -92,7 +92,7 @@ class _StoredMark(NamedTuple):
 
     arrival: _Arrival
     stream: _WriterStream
-    mark: Mark
+    mark: MessageFingerprint
 
 
 class History:
@@ -122,7 +122,7 @@ class History:
         self._late_sec: list[float] = []
         self._seen: dict[MessageIdentity, _StoredMark] = {}
         self._newest = 0
-        self._last: dict[_WriterStream, Mark] = {}
+        self._last: dict[_WriterStream, MessageFingerprint] = {}
         self._counted: dict[Publisher, int] = {}
         self._looked = -LOOK_SEC
         self._written = self._doubtful = False
@@ -235,7 +235,7 @@ class History:
             self._done = {p: t for p, t in self._done.items() if t >= self._floor}
             self._room = 2 * len(self._done) + ROOM
 
-    def _is_head(self, row: StoredRow, heads: Mapping[Publisher, Mark]) -> bool:
+    def _is_head(self, row: StoredRow, heads: Mapping[Publisher, MessageFingerprint]) -> bool:
         """Return whether a row is a first live message: the recorder's clock may be behind ours."""
         if not heads:
             return False
@@ -265,7 +265,7 @@ class History:
         self._seen.pop(row.place, None)
         stream = _stream(row)
         dropped = self._queue.dropped.get(stream.publisher)
-        mark = self._last[stream] = Mark(row.received, digest_of(wire))
+        mark = self._last[stream] = MessageFingerprint(row.received, digest_of(wire))
         if stream.publisher in self._counted:
             self._counted[stream.publisher] += 1
         elif dropped is not None and mark.digest == dropped.first.digest:
@@ -316,7 +316,7 @@ class History:
                 continue
             wire = self._wire(row)
             if wire is not None:
-                mark = Mark(row.received, digest_of(wire))
+                mark = MessageFingerprint(row.received, digest_of(wire))
                 self._seen[row.place] = _StoredMark(row.arrival, stream, mark)
 
     def _places(
@@ -336,7 +336,7 @@ class History:
             stored = [row.mark for row in rows]
             place = first_live(stored, marks[1:] if repeated else marks, sure)
             if repeated:
-                before = stored[:place][-1:] or [self._last.get(stream, Mark(0, b""))]
+                before = stored[:place][-1:] or [self._last.get(stream, MessageFingerprint(0, b""))]
                 if before[0].digest == marks[0].digest and (stored or stream in self._last):
                     # Latched: it was published before we subscribed and is stored already.
                     live.messages[0].wanted = False
@@ -382,7 +382,9 @@ class History:
         live = self._heard.get(_publisher(row.connection))
         wire = None if live is None else self._wire(row)
         return (
-            live is not None and wire is not None and live.has(Mark(row.received, digest_of(wire)))
+            live is not None
+            and wire is not None
+            and live.has(MessageFingerprint(row.received, digest_of(wire)))
         )
 
     def _late(self) -> Iterator[HistoryMessage]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.query.protocols import Table
-from cassandra_ros.query.rows.name_resolution import Output
+from cassandra_ros.query.rows.name_resolution import ResultColumn
 from cassandra_ros.query.rows.projection import Projection, Projections
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.expressions import INTEGER
@@ -56,7 +56,7 @@ class ArrayType:
         return self.depth > 1 or (self.depth == 1 and self.length is None)
 
 
-def _type_of(output: Output, table: Table, unnested: Sequence[Array]) -> ArrayType:
+def _type_of(output: ResultColumn, table: Table, unnested: Sequence[Array]) -> ArrayType:
     """Return the type of a column, without the arrays of messages that are unnested."""
     ref, definition = output.ref, table.definition
     if ref is None or definition is None:

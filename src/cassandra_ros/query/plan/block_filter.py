@@ -26,7 +26,7 @@ from cassandra_ros.messages.wire.message_stacks import (
     planes_of,
     stacker,
 )
-from cassandra_ros.query.protocols import Block
+from cassandra_ros.query.protocols import UnpackedMessages
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.literals import fitting
 from cassandra_ros.query.tree.syntax import (
@@ -35,18 +35,18 @@ from cassandra_ros.query.tree.syntax import (
     Compare,
     Either,
     Expression,
+    FieldPath,
     Leaf,
     Literal,
     Negation,
     OneOf,
-    Path,
     Quantified,
     StatementError,
     wants_array,
 )
 
 Mask = NDArray[np.bool_]
-Sift = Callable[[Block], Optional[Mask]]
+Sift = Callable[[UnpackedMessages], Optional[Mask]]
 """Function from a block to a mask of the messages that may match; None = all may."""
 _Test = Callable[[Stack], Mask]
 _Compare = Callable[[NumberArray], Mask]
@@ -66,7 +66,7 @@ def compile_sift(expression: Expression, definition: Definition) -> Sift | None:
     # Fields before the first variable one have the same offset in messages of any size.
     by_head = all(_is_plain(ref) and ref.column in finder.head for ref in refs)
 
-    def sift(block: Block) -> Mask | None:
+    def sift(block: UnpackedMessages) -> Mask | None:
         mask = np.ones(len(block), np.bool_)
         groups = [(planes_of(g.stored, g.rises), g.members) for g in block.groups]
         if by_head and len(groups) > 1:
@@ -117,9 +117,9 @@ def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | N
         call = leaf.operand
         of_array = call.function in ("min", "max") and leaf.operator != "LIKE"
         array = call.arguments[0] if of_array else None
-        if isinstance(array, Path):
+        if isinstance(array, FieldPath):
             return _elements(array, leaf.operator, leaf.value, np.any, definition, refs)
-    if not isinstance(leaf, (Compare, OneOf)) or not isinstance(leaf.operand, Path):
+    if not isinstance(leaf, (Compare, OneOf)) or not isinstance(leaf.operand, FieldPath):
         return None
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:
@@ -157,7 +157,7 @@ def _quantifier_test(
 
 
 def _elements(
-    array: Path,
+    array: FieldPath,
     operator: str,
     value: Literal,
     join: Any,

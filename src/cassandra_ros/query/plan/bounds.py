@@ -24,7 +24,7 @@ from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import other_unit
-from cassandra_ros.query.protocols import Disk, Runs, Stays, Table
+from cassandra_ros.query.protocols import Disk, RunNames, Stays, Table
 from cassandra_ros.query.tree.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.tree.syntax import (
     TIMED,
@@ -157,7 +157,7 @@ def bounds_time(conjunct: Expression) -> bool:
     )
 
 
-def _narrow(bounds: Bounds, conjunct: Expression, named: bool, runs: Sequence[Runs]) -> Bounds:
+def _narrow(bounds: Bounds, conjunct: Expression, named: bool, runs: Sequence[RunNames]) -> Bounds:
     if (
         isinstance(conjunct, Compare)
         and isinstance(conjunct.operand, RunOperand)

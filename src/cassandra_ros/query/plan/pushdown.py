@@ -50,10 +50,10 @@ from cassandra_ros.query.tree.syntax import (
     Compare,
     Either,
     Expression,
+    FieldPath,
     Leaf,
     Negation,
     OneOf,
-    Path,
     StatementError,
     wants_array,
 )
@@ -502,7 +502,7 @@ def _join_branches(branch_lists: Sequence[list[Branch] | None]) -> list[Branch] 
 def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
     if not isinstance(leaf, (Compare, OneOf)) or table.definition is None:
         return ServerCheck(leaf)
-    if not isinstance(leaf.operand, Path):
+    if not isinstance(leaf.operand, FieldPath):
         return ServerCheck(leaf)
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:

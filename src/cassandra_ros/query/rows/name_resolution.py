@@ -73,6 +73,7 @@ from cassandra_ros.query.tree.syntax import (
     Comparison,
     Either,
     Expression,
+    FieldPath,
     IsNull,
     KeyOperand,
     Literal,
@@ -80,7 +81,6 @@ from cassandra_ros.query.tree.syntax import (
     NodeOperand,
     OneOf,
     Operand,
-    Path,
     Quantified,
     Relate,
     RunOperand,
@@ -327,7 +327,7 @@ class Findings:
                 raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
-class Output(NamedTuple):
+class ResultColumn(NamedTuple):
     """One column of a result, in one table."""
 
     name: str
@@ -352,13 +352,13 @@ class NameResolver:
         """Fields found so far, in the order of their values."""
         self._places: dict[FieldRef, int] = {}
         self._used: set[int] = set()
-        self._counted: list[tuple[Path, Array]] = []
+        self._counted: list[tuple[FieldPath, Array]] = []
         self.unnested: list[Array] = []
         """Arrays of messages whose elements are named, outermost first."""
         self.runs = False
         """Whether RUN is needed."""
 
-    def outputs(self, selected: Selected | None) -> Sequence[Output]:
+    def outputs(self, selected: Selected | None) -> Sequence[ResultColumn]:
         """Return the columns of one selected path; None = every field."""
         if selected is None:
             return self._outputs_of(
@@ -367,7 +367,7 @@ class NameResolver:
         what = selected.what
         if isinstance(what, Aggregate):
             return self._aggregate(what, selected.text)
-        if not isinstance(what, Path):
+        if not isinstance(what, FieldPath):
             column = self._output(what)
             return [] if column is None else [column._replace(name=selected.text)]
         columns = self._outputs_of(
@@ -379,7 +379,7 @@ class NameResolver:
             self._refuse(what, f"{what.text} has {len(columns)} fields; AS gives a name to one")
         return [output._replace(name=selected.alias) for output in columns[:1]]
 
-    def single(self, selected: Selected) -> Sequence[Output]:
+    def single(self, selected: Selected) -> Sequence[ResultColumn]:
         """Return the column of a term by which rows are grouped or ordered."""
         what = selected.what
         if isinstance(what, Aggregate):
@@ -387,10 +387,10 @@ class NameResolver:
         column = self._output(what)
         return [] if column is None else [column._replace(name=selected.text)]
 
-    def _outputs_of(self, refs: Sequence[FieldRef]) -> list[Output]:
-        return [Output(ref.name, self._place(ref), ref.type, ref) for ref in refs]
+    def _outputs_of(self, refs: Sequence[FieldRef]) -> list[ResultColumn]:
+        return [ResultColumn(ref.name, self._place(ref), ref.type, ref) for ref in refs]
 
-    def _aggregate(self, aggregate: Aggregate, name: str) -> Sequence[Output]:
+    def _aggregate(self, aggregate: Aggregate, name: str) -> Sequence[ResultColumn]:
         operand, function = aggregate.operand, aggregate.function
         column = self._output(operand or KeyOperand(0))
         if column is None:
@@ -407,20 +407,22 @@ class NameResolver:
         kinds = {"count": COUNTED, "avg": "float64", "sum": total}
         return [column._replace(name=name, kind=kinds[function], ref=None)]
 
-    def _output(self, term: Term, array: bool | None = False) -> Output | None:
+    def _output(self, term: Term, array: bool | None = False) -> ResultColumn | None:
         """Return the column of one term; None if the table lacks it."""
         if isinstance(term, (Literal, Call)):
             calc = self._compute(term)
-            return None if calc is None else Output(term.text, -1, calc.kind, compute=calc.get)
-        if isinstance(term, Path):
+            return (
+                None if calc is None else ResultColumn(term.text, -1, calc.kind, compute=calc.get)
+            )
+        if isinstance(term, FieldPath):
             refs = self._resolve(term, lambda definition: [field_of(term, definition, array)])
             return self._outputs_of(refs)[0] if refs else None
         if isinstance(term, NodeOperand):
-            return Output(term.text, NODE_PLACE, "string")
+            return ResultColumn(term.text, NODE_PLACE, "string")
         if isinstance(term, RunOperand):
             self.runs = True
-            return Output(term.text, RUN_PLACE, "string")
-        return Output(term.text, KEY_PLACE, "string" if self._named else "time")
+            return ResultColumn(term.text, RUN_PLACE, "string")
+        return ResultColumn(term.text, KEY_PLACE, "string" if self._named else "time")
 
     def _compute(self, term: Term) -> Computed | None:
         """Compile a term; None if the table lacks it."""
@@ -439,7 +441,7 @@ class NameResolver:
         return calc
 
     def _find(self, operand: Operand, array: bool | None) -> OperandPlace | None:
-        if array is None and isinstance(operand, Path):
+        if array is None and isinstance(operand, FieldPath):
             return self._find_counted(operand)
         column = self._output(operand, array)
         if column is None:
@@ -449,7 +451,7 @@ class NameResolver:
             column.kind, column.place, column.ref is not None and column.ref.is_array
         )
 
-    def _find_counted(self, path: Path) -> OperandPlace | None:
+    def _find_counted(self, path: FieldPath) -> OperandPlace | None:
         """Return a field with one value per element, also for an array of messages."""
         refs = self._resolve(path, lambda definition: [counted_field(path, definition)])
         if not refs:
@@ -509,7 +511,7 @@ class NameResolver:
         return [self._comparison_value(leaf, array, sign, term) for sign, term in leaf.tests]
 
     def _comparison_value(
-        self, leaf: Quantified, array: Output | None, sign: str, term: Term
+        self, leaf: Quantified, array: ResultColumn | None, sign: str, term: Term
     ) -> Get | None:
         # The term is resolved even if the array is missing: naming its fields may unnest arrays.
         calc = None if isinstance(term, Literal) else self._compute(term)
@@ -539,7 +541,7 @@ class NameResolver:
         """Extend the error for an unknown field that may be a text without quotes."""
         other = leaf.other
         problem = self._findings.wrong.get(other.position)
-        single = isinstance(other, Path) and len(other.parts) == 1
+        single = isinstance(other, FieldPath) and len(other.parts) == 1
         if problem and single and left is not None and left.kind == "string":
             reason = f"{problem.reason}; text stands in quotes: '{other.text}'"
             self._findings.wrong[other.position] = StatementError(problem.position, reason)
@@ -552,7 +554,9 @@ class NameResolver:
         column = self._output(leaf.operand, wants_array(leaf))
         return None if column is None else self._fit_literal(leaf, column, literal)
 
-    def _fit_literal(self, leaf: Comparison, column: Output, literal: Literal) -> Comparable | None:
+    def _fit_literal(
+        self, leaf: Comparison, column: ResultColumn, literal: Literal
+    ) -> Comparable | None:
         try:
             value = _fit(column, leaf, literal)
         except StatementError as exc:
@@ -562,7 +566,7 @@ class NameResolver:
         return value
 
     def _resolve(
-        self, path: Path, resolve: Callable[[Definition], Sequence[FieldRef]]
+        self, path: FieldPath, resolve: Callable[[Definition], Sequence[FieldRef]]
     ) -> Sequence[FieldRef]:
         try:
             if self._definition is None:
@@ -575,7 +579,7 @@ class NameResolver:
         self._findings.fine.add(path.position)
         return refs
 
-    def _unnest_inside(self, path: Path, refs: Sequence[FieldRef]) -> None:
+    def _unnest_inside(self, path: FieldPath, refs: Sequence[FieldRef]) -> None:
         """Unnest the arrays of messages on a path, wherever the path is used."""
         for ref in refs:
             # Only arrays whose elements the path names, not those that it names whole.
@@ -584,7 +588,7 @@ class NameResolver:
                     self._unnest(path, array)
                     self._place(ref)  # its values give the number of elements
 
-    def _unnest(self, path: Path, array: Array) -> None:
+    def _unnest(self, path: FieldPath, array: Array) -> None:
         inner = self.unnested[-1] if self.unnested else ()
         if array[: len(inner)] == inner:
             self.unnested.append(array)
@@ -596,7 +600,7 @@ class NameResolver:
             f"{names[1]}; ask for them in two statements, or name an element: {names[1]}[0]",
         )
 
-    def _refuse(self, path: Path, reason: str) -> None:
+    def _refuse(self, path: FieldPath, reason: str) -> None:
         """Record an error: the field exists, but the path is not allowed at this place."""
         self._findings.wrong.setdefault(
             _BESIDE - path.position, StatementError(path.position, reason)
@@ -610,7 +614,7 @@ class NameResolver:
         return place
 
 
-def _fit(column: Output, leaf: Comparison, literal: Literal) -> Comparable:
+def _fit(column: ResultColumn, leaf: Comparison, literal: Literal) -> Comparable:
     operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
     if sign == "CONTAINS" and column.ref is None:
         reason = f"{operand.text} is not an array; compare it with ="

@@ -44,7 +44,7 @@ from cassandra_ros.query.rows.name_resolution import (
     Check,
     Findings,
     NameResolver,
-    Output,
+    ResultColumn,
     RowValues,
 )
 from cassandra_ros.query.tree.expressions import Get
@@ -297,7 +297,7 @@ class Projection:
     The values of a row are its KEY, NODE and RUN, its time, and those of the named fields.
     """
 
-    groups: tuple[tuple[Output, ...], ...]
+    groups: tuple[tuple[ResultColumn, ...], ...]
     """Columns of each selected path: one, or those of all fields of a message."""
     check: Check
     """The condition."""
@@ -493,11 +493,11 @@ class Projections:
 
 
 def _place_computed(
-    groups: Sequence[Sequence[Output]], width: int
-) -> tuple[tuple[tuple[Output, ...], ...], tuple[Get, ...]]:
+    groups: Sequence[Sequence[ResultColumn]], width: int
+) -> tuple[tuple[tuple[ResultColumn, ...], ...], tuple[Get, ...]]:
     """Assign indices after the other values to the computed values."""
     computed: list[Get] = []
-    out_groups: list[tuple[Output, ...]] = []
+    out_groups: list[tuple[ResultColumn, ...]] = []
     for group in groups:
         outputs = []
         for output in group:
@@ -537,7 +537,7 @@ def _duration(ns: int) -> object:
 _SHOWS = {"time": _show_with(_time), "duration": _show_with(_duration)}
 
 
-def _show_of(output: Output) -> Get | None:
+def _show_of(output: ResultColumn) -> Get | None:
     """Return the conversion of a value for display.
 
     None = unchanged, or KEY, shown as the row's key.

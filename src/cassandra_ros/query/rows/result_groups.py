@@ -32,8 +32,8 @@ from cassandra_ros.query.tree.field_names import field_of
 from cassandra_ros.query.tree.syntax import (
     Aggregate,
     Call,
+    FieldPath,
     Ordering,
-    Path,
     Select,
     Selected,
     StatementError,
@@ -77,12 +77,12 @@ class _AggregateSplitter:
     def of(self, what: What) -> What:
         if isinstance(what, Aggregate) and what.function != "count":
             operand = what.operand
-            if isinstance(operand, Path) and any(_is_array(operand, t) for t in self._tables):
+            if isinstance(operand, FieldPath) and any(_is_array(operand, t) for t in self._tables):
                 return Call(what.function, (operand,), what.position)
         return what
 
 
-def _is_array(path: Path, table: Table) -> bool:
+def _is_array(path: FieldPath, table: Table) -> bool:
     try:
         return table.definition is not None and field_of(path, table.definition, True).is_array
     except StatementError:
@@ -95,7 +95,7 @@ def _with_groups(select: Select) -> Select:
     aliases = {c.alias: c.what for c in columns if c.alias and not isinstance(c.what, Aggregate)}
     terms = []
     for term in select.group:
-        named = aliases.get(term.text) if isinstance(term, Path) else None
+        named = aliases.get(term.text) if isinstance(term, FieldPath) else None
         group_term = term if named is None or isinstance(named, Aggregate) else named
         if is_constant(group_term):
             raise StatementError(term.position, f"{term.text} is the same in every row")

@@ -32,9 +32,9 @@ from cassandra_ros.query.tree.literals import BEYOND_NS, fit_to_time, length_ns
 from cassandra_ros.query.tree.syntax import (
     Call,
     DurationNs,
+    FieldPath,
     Literal,
     Operand,
-    Path,
     StatementError,
     Term,
     TimeNs,
@@ -310,7 +310,7 @@ _OF_ARRAYS = ("len", "min", "max", "sum", "avg")
 
 def _of_array(call: Call, find: OperandFinder) -> Computed | None:
     array, function = call.arguments[0], call.function
-    if not isinstance(array, Path):
+    if not isinstance(array, FieldPath):
         reason = f"{function} takes an array here, and {array.text} is not an array"
         raise StatementError(array.position, reason)
     field = find(array, None if function == "len" else True)

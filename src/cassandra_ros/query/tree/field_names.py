@@ -16,7 +16,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field
 from cassandra_ros.query.tree.syntax import (
     OWN_WORDS,
-    Path,
+    FieldPath,
     PathPart,
     StatementError,
     path_text,
@@ -85,7 +85,7 @@ def all_fields(definition: Definition) -> tuple[FieldRef, ...]:
 
 
 @lru_cache(maxsize=MAX_FOUND)
-def fields_of(path: Path, definition: Definition) -> tuple[FieldRef, ...]:
+def fields_of(path: FieldPath, definition: Definition) -> tuple[FieldRef, ...]:
     """Return the fields that a path names: one, or all of a message.
 
     StatementError: no such field.
@@ -103,7 +103,7 @@ def fields_of(path: Path, definition: Definition) -> tuple[FieldRef, ...]:
 
 
 @lru_cache(maxsize=MAX_FOUND)
-def field_of(path: Path, definition: Definition, array: bool | None = False) -> FieldRef:
+def field_of(path: FieldPath, definition: Definition, array: bool | None = False) -> FieldRef:
     """Return the single field that a path names, for a condition; StatementError: no such field.
 
     ``array``: whether it must be a whole array; None = either.
@@ -123,7 +123,7 @@ def field_of(path: Path, definition: Definition, array: bool | None = False) -> 
 
 
 @lru_cache(maxsize=MAX_FOUND)
-def counted_field(path: Path, definition: Definition) -> FieldRef:
+def counted_field(path: FieldPath, definition: Definition) -> FieldRef:
     """Return a field with one value for each element of the array or text that a path names.
 
     For an array of messages it is their first field. StatementError: it is neither.
@@ -168,7 +168,7 @@ def _field(
     raise StatementError(path_part.position, reason)
 
 
-def _check_index(path_part: PathPart, field: Field, path: Path) -> None:
+def _check_index(path_part: PathPart, field: Field, path: FieldPath) -> None:
     if path_part.index is not None and not field.is_array:
         raise StatementError(path_part.position, f"{path_part.name} in {path.text} is not an array")
     if path_part.index is not None and field.length is not None and path_part.index >= field.length:
@@ -176,7 +176,9 @@ def _check_index(path_part: PathPart, field: Field, path: Path) -> None:
         raise StatementError(path_part.position, f"{path_part.name} {reason}")
 
 
-def _primitive(path: Path, number: int, steps: tuple[FieldStep, ...], field: Field) -> FieldRef:
+def _primitive(
+    path: FieldPath, number: int, steps: tuple[FieldStep, ...], field: Field
+) -> FieldRef:
     path_part, rest = path.parts[number], path.parts[number + 1 :]
     whole = field.is_array and path_part.index is None
     ref = FieldRef((*steps, FieldStep(field.name)), field.base, whole, path_part.index)

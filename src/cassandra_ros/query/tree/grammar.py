@@ -39,6 +39,7 @@ from cassandra_ros.query.tree.syntax import (
     DurationNs,
     Either,
     Expression,
+    FieldPath,
     Indexed,
     IndexName,
     InEvent,
@@ -51,7 +52,6 @@ from cassandra_ros.query.tree.syntax import (
     OneOf,
     Operand,
     Ordering,
-    Path,
     PathPart,
     Quantified,
     Relate,
@@ -157,7 +157,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return IndexName(_name(token) if token.type == "QUOTED" else token.lower(), _at(token))
 
     def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
-        if not isinstance(field, Path):
+        if not isinstance(field, FieldPath):
             raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
         for path_part in field.parts:
             if path_part.index is not None:
@@ -184,7 +184,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             reason = f"{function} takes one {'duration' if function == 'time' else 'field'}"
             raise StatementError(spot, f"{reason}; only count takes *")
         arguments = (KeyOperand(at), argument) if function == "time" else (argument,)
-        if function in QUANTIFIERS and not isinstance(argument, Path):
+        if function in QUANTIFIERS and not isinstance(argument, FieldPath):
             reason = f"{word.upper()} takes an array, not {_part(argument).text}"
             raise StatementError(argument.position, reason)
         return _call(function, arguments, at)
@@ -277,9 +277,9 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def place(self, token: Token) -> Operand:
         return _OWN[str(token)](_at(token))
 
-    def path(self, *parts: tuple[PathPart, ...]) -> Path:
+    def path(self, *parts: tuple[PathPart, ...]) -> FieldPath:
         names = tuple(name for group in parts for name in group)
-        return Path(names, names[0].position)
+        return FieldPath(names, names[0].position)
 
     def part(self, token: Token, index: Token | None) -> tuple[PathPart, ...]:
         names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
@@ -399,7 +399,7 @@ def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
     if _quantifies(left):
         return _make_quantified(left, [(sign, _part(right))], None, False)
     left, right = _part(left), _part(right)
-    if isinstance(right, Path) and right.text.lower() == "null":
+    if isinstance(right, FieldPath) and right.text.lower() == "null":
         reason = "found 'null' (what is missing is found by IS NULL)"
         raise StatementError(right.position, reason)
     if is_constant(right):
@@ -416,7 +416,7 @@ def _make_quantified(
     term: Term, tests: Sequence[tuple[str, Term]], negated: _Not, either: bool
 ) -> Expression:
     call = term
-    if not isinstance(call, Call) or not isinstance(call.arguments[0], Path):
+    if not isinstance(call, Call) or not isinstance(call.arguments[0], FieldPath):
         raise AssertionError("the grammar lets nothing else through")
     every, array = call.function == "all", call.arguments[0]
     compares = [(sign, _value(to) if is_constant(to) else to) for sign, to in tests]

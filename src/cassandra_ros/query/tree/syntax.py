@@ -83,7 +83,7 @@ class PathPart:
 
 
 @dataclass(frozen=True)
-class Path:
+class FieldPath:
     """A dotted field, like ``transforms[0].transform.translation.x``."""
 
     parts: tuple[PathPart, ...]
@@ -139,8 +139,8 @@ class RunOperand:
 OWN_WORDS = (KeyOperand.text, NodeOperand.text, RunOperand.text)
 """Words with a meaning of their own; fields with such names are quoted."""
 
-Operand = Union[Path, KeyOperand, NodeOperand, RunOperand]
-OPERANDS = (Path, KeyOperand, NodeOperand, RunOperand)
+Operand = Union[FieldPath, KeyOperand, NodeOperand, RunOperand]
+OPERANDS = (FieldPath, KeyOperand, NodeOperand, RunOperand)
 ARITHMETIC = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
 """Precedence of each operator; ``neg`` is the minus before a value."""
 AGGREGATES = ("count", "min", "max", "sum", "avg")
@@ -181,7 +181,7 @@ def _within(argument: Term, closeness: int) -> str:
     return argument.text if least is None or least >= closeness else f"({argument.text})"
 
 
-Term = Union[Path, KeyOperand, NodeOperand, RunOperand, Literal, Call]
+Term = Union[FieldPath, KeyOperand, NodeOperand, RunOperand, Literal, Call]
 """Anything that has a value in a row."""
 
 
@@ -228,7 +228,7 @@ class Selected:
     @property
     def is_path(self) -> bool:
         """Whether it is a field or a message, which may have any number of fields."""
-        return isinstance(self.what, Path)
+        return isinstance(self.what, FieldPath)
 
 
 @dataclass(frozen=True)
@@ -260,7 +260,7 @@ class Relate:
 class Quantified:
     """``ANY(array) operator term`` and ``ALL``: a condition on one element, or on each."""
 
-    operand: Path
+    operand: FieldPath
     every: bool
     """Whether it is ALL."""
     tests: tuple[tuple[str, Term], ...]
@@ -504,7 +504,7 @@ class Indexed:
 
     topic: str
     topic_position: int
-    field: Path
+    field: FieldPath
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Sequence
 
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.tree.field_names import FieldStep, field_of
-from cassandra_ros.query.tree.syntax import Aggregate, Call, Path, StatementError, Term
+from cassandra_ros.query.tree.syntax import Aggregate, Call, FieldPath, StatementError, Term
 
 SECONDS = "s"
 """Unit in which durations are shown."""
@@ -73,7 +73,7 @@ def unit_of_field(steps: Sequence[FieldStep], definition: Definition) -> str:
 
 def unit_of(what: Term | Aggregate, definition: Definition) -> str:
     """Return the unit of a selected term; '' = unknown."""
-    if isinstance(what, Path):
+    if isinstance(what, FieldPath):
         try:
             ref = field_of(what, definition, None)
         except StatementError:

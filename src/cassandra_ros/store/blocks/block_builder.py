@@ -31,21 +31,21 @@ ALONE_BYTES = 64 * 1024
 """Size from which a message gets a block of its own, bytes."""
 
 
-class Limits(NamedTuple):
+class BlockLimits(NamedTuple):
     """Maximum number of messages and of serialised bytes in one block."""
 
     messages: int = MAX_MESSAGES
     bytes: int = MAX_BYTES
 
 
-FULL = Limits()
+FULL = BlockLimits()
 
 
-def limits_for(connections: int) -> Limits:
+def limits_for(connections: int) -> BlockLimits:
     """Return the limits of blocks for ``connections`` blocks that are filled at the same time."""
     nbytes = max(MIN_BYTES, min(MAX_BYTES, ALL_BYTES // max(connections, 1)))
     # Each message takes some memory in addition to its bytes.
-    return Limits(nbytes * MAX_MESSAGES // MAX_BYTES, nbytes)
+    return BlockLimits(nbytes * MAX_MESSAGES // MAX_BYTES, nbytes)
 
 
 MessageAgain = Callable[[int, int, bytes], object]
@@ -54,7 +54,7 @@ KeyTime = Callable[[int, bytes], int]
 """Returns the key time (ns) for a receive time (ns) and a serialised message."""
 
 
-class Block(NamedTuple):
+class NewBlock(NamedTuple):
     """Messages of one connection as a row, sorted by (time, ``_seq``)."""
 
     times: Sequence[int]
@@ -116,7 +116,7 @@ def make_block(
     wires: Sequence[bytes],
     received: Sequence[int] | None = None,
     again: MessageAgain | None = None,
-) -> Block:
+) -> NewBlock:
     """Return the block of one or more messages, given in any order."""
     order = None if len(times) == 1 else _order(times, seqs)
     if order is not None:
@@ -130,7 +130,7 @@ def make_block(
     else:
         data = b"" if received is None else pack_block(times, seqs, [b""], received)
         crc = crc32(wires[0])
-    return Block(times, seqs, received, wires, conn, data, crc, zones, nan, odd, again)
+    return NewBlock(times, seqs, received, wires, conn, data, crc, zones, nan, odd, again)
 
 
 def _order(times: Sequence[int], seqs: Sequence[int]) -> list[int] | None:
@@ -309,8 +309,8 @@ class Builders:
 
     def __init__(
         self,
-        limits: Limits,
-        put: Callable[[BlockBuilder, Block], None],
+        limits: BlockLimits,
+        put: Callable[[BlockBuilder, NewBlock], None],
         check: Callable[[], None],
         gone: AbstractSet[str],
     ) -> None:

@@ -30,12 +30,12 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.store.blocks.block_builder import (
     FULL,
-    Block,
     BlockBuilder,
+    BlockLimits,
     Builders,
     KeyTime,
-    Limits,
     MessageAgain,
+    NewBlock,
 )
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.driver_errors import is_passing, is_table_gone, translate
@@ -108,7 +108,7 @@ class Batch:
     again: list[Again | None] = field(default_factory=list)
     runs: list[tuple[Sequence[NewRow], RowAgain]] = field(default_factory=list)
     """Rows that were added together, with one function in place of an ``again`` for each."""
-    blocks: list[Block] = field(default_factory=list)
+    blocks: list[NewBlock] = field(default_factory=list)
     nbytes: int = 0
     held: int = 0
     """Number of bytes of the messages in chunks, which are not counted in nbytes."""
@@ -258,7 +258,7 @@ class OpenBucket:
         self.batch.odd_rows += odd
         return True, self._full_id, full
 
-    def add_block(self, block: Block, chunks: Chunks | None = None) -> None:
+    def add_block(self, block: NewBlock, chunks: Chunks | None = None) -> None:
         """Add a block to the batch; if it is one large message, this may be in chunks."""
         batch, sizes = self.batch, list(map(len, block.wires))
         if not batch.rows:
@@ -394,7 +394,7 @@ def _statement_head(query_id: bytes, values: int, first: Sequence[bytes]) -> byt
     return struct.pack(f">BH{len(query_id)}sH", 1, len(query_id), query_id, values) + sized
 
 
-_New = Union[NewRow, Block]
+_New = Union[NewRow, NewBlock]
 LossCallback = Callable[[str, int, CassandraRosError], None]
 """Takes (topic, number of rows, error) of lost rows; called on any thread."""
 
@@ -455,7 +455,7 @@ class RowWriter:
         *,
         linger_sec: float = 0.2,
         block_sec: float | None = None,
-        limits: Limits = FULL,
+        limits: BlockLimits = FULL,
         give_up_after_sec: float = 60.0,
         on_loss: LossCallback | None = None,
         on_beat: Callable[[], None] | None = None,
@@ -552,7 +552,7 @@ class RowWriter:
         self.stats.setdefault(table.name, WriteStats())
         return self._builders.get(table, node, conn, key_time, again)
 
-    def add_block(self, builder: BlockBuilder, block: Block) -> None:
+    def add_block(self, builder: BlockBuilder, block: NewBlock) -> None:
         """Take a block; if that fails its messages are counted as lost."""
         table, added = builder.table, False
         try:
@@ -641,7 +641,7 @@ class RowWriter:
         self._schema.ensure_chunk_table(table)
         statement = table.insert_chunk()  # may fail, so it comes before anything is counted
         # Here and not when the row is made: then its bytes would have left the processor's cache.
-        crc = new.crc if isinstance(new, Block) else crc32(new.wire)
+        crc = new.crc if isinstance(new, NewBlock) else crc32(new.wire)
         chunks, count = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
         outcome, wire = self._chunk_outcome(bucket, new, again, chunks), memoryview(new.wire)
         bucket.begin_request()
@@ -673,7 +673,7 @@ class RowWriter:
             if failures:
                 bucket.failed()
                 worst = max(failures, key=is_table_gone)
-                rewriters = new.rewriters() if isinstance(new, Block) else [again]
+                rewriters = new.rewriters() if isinstance(new, NewBlock) else [again]
                 self._fail(bucket.table, rewriters, [new.t], worst)
             else:
                 # This is the driver's thread, and sending may block: the row is sent later.
@@ -687,7 +687,7 @@ class RowWriter:
         A request of its own would cost the server a sixth of what an image costs.
         """
         bucket.end_chunks()
-        if isinstance(new, Block):
+        if isinstance(new, NewBlock):
             bucket.add_block(new, chunks)
         else:
             bucket.add(new, again, chunks)

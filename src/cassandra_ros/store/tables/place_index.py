@@ -41,7 +41,7 @@ class Square(NamedTuple):
     """Number of the square to the east and to the north; (0, 0) begins at the origin."""
 
 
-class Visit(NamedTuple):
+class VisitRow(NamedTuple):
     """A visit: a robot may have been in a square from t_in to t_out, ns, both included."""
 
     square: Square
@@ -80,7 +80,7 @@ class PlaceIndex:
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
-    def put(self, visits: Sequence[Visit], done: Iterable[IndexedPoses], ttl: int = 0) -> None:
+    def put(self, visits: Sequence[VisitRow], done: Iterable[IndexedPoses], ttl: int = 0) -> None:
         """Write visits, and then the poses whose visits are complete.
 
         For ttl seconds, 0 = for ever.

@@ -5,7 +5,7 @@
 While a new table is being filled to replace others, its comment names the tables that it replaces.
 Everything follows from this comment: one change of it, from filling to filled, makes the new table
 visible and the old tables invisible at once. So a client that reads the comments sees either the
-old tables or the new one (``Listing``).
+old tables or the new one (``TableListing``).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from cassandra_ros.store.tables.side_tables import SchemaLock, SideTables
 from cassandra_ros.store.tables.table_files import TableFiles
 
 
-class Listing:
+class TableListing:
     """The topic tables of a keyspace, by their comments at one moment. Immutable.
 
     Attributes:
@@ -175,7 +175,7 @@ class Schema:
         self._kind_of = kind_of
         self.keyspace = side_tables.keyspace
         self._side_tables = side_tables
-        self._listing: Listing | None = None
+        self._listing: TableListing | None = None
         self._known: dict[str, tuple[object, TopicMetadata | None]] = {}
         """Tables by name: when their comment was written, and what it says; None = no topic's."""
         self._read_at = 0.0
@@ -198,13 +198,13 @@ class Schema:
         """Return the tables that are read, name → metadata; from comments at most 2 s old."""
         return self.listing(fresh=fresh).visible
 
-    def listing(self, *, fresh: bool = False) -> Listing:
+    def listing(self, *, fresh: bool = False) -> TableListing:
         """Return all topic tables, also replaced ones, by comments at most 2 s old, or fresh."""
         with self._mutex:
             now, mark = time.monotonic(), self._changes.mark
             old = mark is not self._mark or now - self._read_at > CACHE_SEC
             if self._listing is None or fresh or old:
-                self._listing = Listing(self._read())
+                self._listing = TableListing(self._read())
                 self._read_at, self._mark = now, mark
             return self._listing
 
@@ -311,7 +311,7 @@ class Schema:
         alike = (metadata.topic, metadata.format) == (topic, format_name)
         return alike and self._kind_of(metadata) == kind
 
-    def _find(self, listing: Listing, wish: TableWish) -> str | None:
+    def _find(self, listing: TableListing, wish: TableWish) -> str | None:
         """Return the table for new messages of a topic, kind and format; None = not in the listing.
 
         Of several it is the one that came from a conversion: a repeated import finds its rows
@@ -324,7 +324,7 @@ class Schema:
         ]
         return max(names, key=lambda name: bool(listing.visible[name].replaces), default=None)
 
-    def _find_all(self, listing: Listing, wishes: Sequence[TableWish]) -> list[str | None]:
+    def _find_all(self, listing: TableListing, wishes: Sequence[TableWish]) -> list[str | None]:
         return [self._find(listing, wish) for wish in wishes]
 
     def create(self, planned: TablePlan, lock: SchemaLock) -> str:
@@ -386,7 +386,7 @@ class Schema:
         with self._mutex:
             self._known = {**self._known, **read}
             every = self._listing.every if self._listing else {}
-            self._listing = Listing({**every, **self._note(made)})
+            self._listing = TableListing({**every, **self._note(made)})
             # The lock excludes changes by other clients, so all that were pushed are our own.
             self._mark = self._changes.mark
         columns = self._cassandra.system_schema_of("columns", _COLUMNS, self.keyspace, names)

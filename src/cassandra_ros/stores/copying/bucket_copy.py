@@ -31,7 +31,7 @@ _Entry = Tuple[int, int]
 Books = Mapping[_Entry, CopiedBucket]
 
 
-class Piece(NamedTuple):
+class BucketGroup(NamedTuple):
     """Some buckets of one node that are copied together: those of one bucket there."""
 
     node: str
@@ -45,7 +45,7 @@ class Piece(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Selection:
+class CopySelection:
     """The messages of a topic that are copied, and what else is done."""
 
     time_range: TimeRange = ALWAYS
@@ -96,7 +96,7 @@ class PieceCopy:
         pair: TablePair,
         books: CopyBooks,
         target: UUID,
-        selection: Selection,
+        selection: CopySelection,
         sent: Callable[[int], None],
         choose: Choose | None = None,
         rule: Callable[[BucketRow], str] = lambda row: "",
@@ -107,7 +107,7 @@ class PieceCopy:
         self._sent = sent
         self._choose, self._rule = choose, rule
 
-    def run(self, piece: Piece, books: Books, *, again: bool = False) -> CopyCount:
+    def run(self, piece: BucketGroup, books: Books, *, again: bool = False) -> CopyCount:
         """Copy what is not confirmed of a piece, and note in the books what is then.
 
         Args:
@@ -136,7 +136,7 @@ class PieceCopy:
                 self._note(row, seen, final, numbers)
         return count
 
-    def _present(self, piece: Piece) -> list[BucketRow]:
+    def _present(self, piece: BucketGroup) -> list[BucketRow]:
         """Return what the directory says of a piece now."""
         directory, name, keys = self._pair.here.directory, self._pair.source.name, piece.keys
         buckets = sorted({bucket for bucket, _ in keys})
@@ -164,7 +164,7 @@ class PieceCopy:
 
     def _transfer(
         self,
-        piece: Piece,
+        piece: BucketGroup,
         before: Sequence[BucketRow],
         rows: Sequence[BucketRow],
         books: Books,
@@ -217,7 +217,9 @@ class PieceCopy:
         count.messages, count.bytes, count.damaged = counts.messages, counts.bytes, counts.damaged
         return after
 
-    def _is_cut_otherwise(self, piece: Piece, rows: Sequence[BucketRow], books: Books) -> bool:
+    def _is_cut_otherwise(
+        self, piece: BucketGroup, rows: Sequence[BucketRow], books: Books
+    ) -> bool:
         """Return whether blocks there begin at other messages than ours.
 
         They came from a table that was converted since. With ours some messages would be there

@@ -13,7 +13,7 @@ from cassandra_ros.read import EVERYTHING
 from cassandra_ros.store.rows.row_counts import settle
 from cassandra_ros.store.tables.copy_books import CopiedTable, CopyBooks
 from cassandra_ros.store.tables.directory import slot_of
-from cassandra_ros.stores.copying.bucket_copy import Selection
+from cassandra_ros.stores.copying.bucket_copy import CopySelection
 from cassandra_ros.stores.copying.named_copy import named_rows
 from cassandra_ros.stores.copying.uncopied import uncopied
 from cassandra_ros.topics.catalog import Catalog
@@ -106,7 +106,7 @@ def _add(
 def _add_named(books: CopyBooks, target: UUID, table: TopicTable, status: TopicStatus) -> None:
     known = books.buckets(target, table.name, books.slots(target, table.name))
     seen = {(book.node, book.writer): book.seen for book in known}
-    for row in named_rows(table, Selection()):
+    for row in named_rows(table, CopySelection()):
         if row.written_us <= seen.get((row.node, row.writer), 0):
             status.copied += 1
             status.copied_bytes += row.size

@@ -17,7 +17,7 @@ from cassandra_ros.store.rows.fetch import KEY_PAGE_ROWS
 from cassandra_ros.store.rows.verbatim import Part, VerbatimCopy
 from cassandra_ros.store.tables.copy_books import CopiedBucket, CopyBooks
 from cassandra_ros.store.tables.row_table import RowTable, bind, decode_long
-from cassandra_ros.stores.copying.bucket_copy import SEEN_MARGIN_US, CopyCount, Selection
+from cassandra_ros.stores.copying.bucket_copy import SEEN_MARGIN_US, CopyCount, CopySelection
 from cassandra_ros.stores.copying.converted_copy import ConvertedCopy
 from cassandra_ros.stores.copying.deletions import delete_missing_names
 from cassandra_ros.stores.copying.table_pair import TablePair
@@ -37,7 +37,7 @@ class NamedRow(NamedTuple):
     """Server time at which it was written, us."""
 
 
-def named_rows(table: RowTable, selection: Selection) -> list[NamedRow]:
+def named_rows(table: RowTable, selection: CopySelection) -> list[NamedRow]:
     """Return the selected messages of a table whose rows have names (a scan of keys)."""
 
     def read(rows: Iterable[RawRow]) -> list[NamedRow]:
@@ -75,7 +75,7 @@ class NamedCopy:
         pair: TablePair,
         books: CopyBooks,
         target: UUID,
-        selection: Selection,
+        selection: CopySelection,
         sent: Callable[[int], None],
     ) -> None:
         self._pair = pair
@@ -100,7 +100,7 @@ class NamedCopy:
                 count.bytes += converted.bytes
         else:
             self._copy_as_stored(late, count)
-        everything = self._selection == Selection(deletions=self._selection.deletions)
+        everything = self._selection == CopySelection(deletions=self._selection.deletions)
         if everything and not count.damaged:
             self._note(rows, seen)
         return count

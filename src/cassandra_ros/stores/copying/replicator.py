@@ -31,7 +31,13 @@ from cassandra_ros.store.tables.copy_books import CopiedBucket, CopiedTable, Cop
 from cassandra_ros.store.tables.directory import BucketRow, slot_of
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.stores.copying.bandwidth import Bandwidth
-from cassandra_ros.stores.copying.bucket_copy import Books, CopyCount, Piece, PieceCopy, Selection
+from cassandra_ros.stores.copying.bucket_copy import (
+    Books,
+    BucketGroup,
+    CopyCount,
+    CopySelection,
+    PieceCopy,
+)
 from cassandra_ros.stores.copying.context_copy import (
     check_schema,
     copy_events,
@@ -137,7 +143,7 @@ class Replicator:
         self._names = check_topics(topics)
         whose = self._catalog.whose(nodeID, run)
         time_range = self._catalog.time_range(self._names, key, to_key)
-        self._selection = Selection(time_range, whose, with_deletions)
+        self._selection = CopySelection(time_range, whose, with_deletions)
         self._format = format
         self._rules = rules or CopyRules([CopyRule()])
         self._bandwidth = Bandwidth(rate or self._rules.rate)
@@ -310,7 +316,7 @@ class Replicator:
         entry = CopiedTable(self._id, table.name, self.place, topic, there, reason)
         self._books.put_table(entry)
 
-    def _selection_of(self, rule: CopyRule, runs: Sequence[Run]) -> Selection:
+    def _selection_of(self, rule: CopyRule, runs: Sequence[Run]) -> CopySelection:
         """Return the selection for the topics of a rule."""
         if not rule.selects_runs:
             return self._selection
@@ -459,7 +465,7 @@ class Replicator:
         done = 0
         with ThreadPoolExecutor(threads, "cassandra_ros-copy") as pool:
 
-            def begin(piece: Piece) -> tuple[Piece, Future[CopyCount]]:
+            def begin(piece: BucketGroup) -> tuple[BucketGroup, Future[CopyCount]]:
                 books: Books = work.books.get(piece.node, {})
                 return piece, pool.submit(copy.run, piece, books, again=again)
 
@@ -506,10 +512,10 @@ class _Work:
 
     pair: TablePair
     rule: CopyRule
-    selection: Selection
+    selection: CopySelection
     times: EventTimes | None = None
     """Times of the events during which messages are copied; None = of all time."""
-    pieces: Sequence[Piece] = ()
+    pieces: Sequence[BucketGroup] = ()
     books: dict[str, dict[tuple[int, int], CopiedBucket]] = field(default_factory=dict)
     """Node → what the books say of its buckets."""
     messages: int = 0
@@ -594,7 +600,7 @@ def _first_of_periods(
 
 def _pieces(
     pair: TablePair, late: Iterable[BucketRow], entries: Iterable[BucketRow]
-) -> Iterator[Piece]:
+) -> Iterator[BucketGroup]:
     """Yield the pieces with something to copy, in order of time."""
     mine, theirs = pair.source.bucket_ns, pair.target.bucket_ns
     # Buckets that lie in one bucket there go together, so that it is opened and closed once.
@@ -605,4 +611,4 @@ def _pieces(
         if (row.node, row.bucket // ratio) in wanted:
             groups.setdefault((row.bucket // ratio, row.node), []).append(row)
     for (_, node), rows in sorted(groups.items()):
-        yield Piece(node, rows)
+        yield BucketGroup(node, rows)

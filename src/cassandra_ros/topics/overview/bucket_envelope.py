@@ -28,7 +28,7 @@ from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.projection import Projection
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
-from cassandra_ros.query.tree.syntax import KeyOperand, Path, Select, Selected, StatementError
+from cassandra_ros.query.tree.syntax import FieldPath, KeyOperand, Select, Selected, StatementError
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store.blocks.block_bounds import BlockZones, ask_bounds, open_blocks, read_bounds
 from cassandra_ros.store.blocks.block_row import BlockRow
@@ -278,7 +278,7 @@ def _check_table(table: Table, piece: EnvelopePart) -> None:
 
 def _plain_field(column: Column, table: TopicTable) -> FieldRef | None:
     """Return the field that a column shows unchanged; None if it shows something else."""
-    if not isinstance(column.what, Path) or table.definition is None:
+    if not isinstance(column.what, FieldPath) or table.definition is None:
         return None
     try:
         ref = field_of(column.what, table.definition)

@@ -13,13 +13,13 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.query.arrays.array_types import AnyArray, ArrayType, group_types
 from cassandra_ros.query.arrays.column_values import ColumnArray
 from cassandra_ros.query.protocols import Table
-from cassandra_ros.query.rows.name_resolution import Output
+from cassandra_ros.query.rows.name_resolution import ResultColumn
 from cassandra_ros.query.rows.projection import Projections
 from cassandra_ros.query.tree.field_names import FieldRef
 from cassandra_ros.query.tree.syntax import (
     Aggregate,
+    FieldPath,
     KeyOperand,
-    Path,
     PathPart,
     Select,
     Selected,
@@ -76,7 +76,7 @@ def drawn_columns(select: Select, tables: Sequence[Table]) -> PlotColumns:
     return PlotColumns(tuple(columns), tuple(left_out))
 
 
-_Found = Tuple[Output, ArrayType, Table, Optional[Selected]]
+_Found = Tuple[ResultColumn, ArrayType, Table, Optional[Selected]]
 
 
 def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
@@ -95,7 +95,7 @@ def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
     return columns
 
 
-def _what(output: Output, selected: Selected | None) -> Term | Aggregate:
+def _what(output: ResultColumn, selected: Selected | None) -> Term | Aggregate:
     """Return the term of one column; of SELECT * the path of its field."""
     if selected is not None and not selected.is_path:
         return selected.what
@@ -104,11 +104,11 @@ def _what(output: Output, selected: Selected | None) -> Term | Aggregate:
     return path_of(output.ref)
 
 
-def path_of(ref: FieldRef) -> Path:
+def path_of(ref: FieldRef) -> FieldPath:
     """Return the path that names a field."""
     parts = [PathPart(step.name, step.index, 0) for step in ref.steps]
     parts[-1] = replace(parts[-1], index=ref.index)
-    return Path((*parts, *([PathPart(ref.part, None, 0)] if ref.part else ())), 0)
+    return FieldPath((*parts, *([PathPart(ref.part, None, 0)] if ref.part else ())), 0)
 
 
 def _reason(kind: ArrayType) -> str:

@@ -52,7 +52,7 @@ _NO_TIME = "of messages that lie under names, not at a time"
 """Reason for which columns of a topic whose messages have names are not drawn."""
 
 
-class Window(NamedTuple):
+class PlotWindow(NamedTuple):
     """Time range that is drawn, and its resolution."""
 
     low: int | None = None
@@ -65,7 +65,7 @@ class Window(NamedTuple):
     """Time limit after which the result so far is returned, s; None = no limit."""
 
 
-WHOLE = Window()
+WHOLE = PlotWindow()
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,11 @@ class Series:
 
 
 def read_series(
-    keyspace: Keyspace, topic: CassandraTopic, select: Select, window: Window, asker: SeriesRequest
+    keyspace: Keyspace,
+    topic: CassandraTopic,
+    select: Select,
+    window: PlotWindow,
+    asker: SeriesRequest,
 ) -> Series:
     """Read the numbers that a statement gives over time.
 
@@ -179,7 +183,7 @@ def _without(drawn: PlotColumns, reason: str) -> PlotColumns:
     return PlotColumns((), (*left_out, *drawn.left_out))
 
 
-def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> tuple[int, int] | None:
+def _extent(topic: CassandraTopic, bounds: Bounds, window: PlotWindow) -> tuple[int, int] | None:
     """Return the first and the last time to be drawn; None if there is no message."""
     low, high = window.low, window.high
     if not topic.tables or bounds.empty:
@@ -199,7 +203,7 @@ def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> int | None:
 
 
 def read_rows_series(
-    topic: Source[Row], select: Select, window: Window, asker: SeriesRequest
+    topic: Source[Row], select: Select, window: PlotWindow, asker: SeriesRequest
 ) -> Series:
     """Read the numbers that a statement gives over time, from all its rows, as of several stores.
 
@@ -214,7 +218,7 @@ def read_rows_series(
 
 
 def _of_rows(
-    topic: Source[Row], select: Select, drawn: PlotColumns, window: Window, asker: SeriesRequest
+    topic: Source[Row], select: Select, drawn: PlotColumns, window: PlotWindow, asker: SeriesRequest
 ) -> Series:
     """Draw the rows of a result, which are all made."""
     if select.columns is not None and not (select.aggregates or select.group or select.distinct):

@@ -20,7 +20,7 @@ _TITLE = 16
 _GROUND, _INK, _FAINT = (255, 255, 255), (20, 20, 20), (235, 235, 235)
 
 
-class Cell(NamedTuple):
+class CaptionedPicture(NamedTuple):
     """A picture of a sheet and its caption."""
 
     caption: str
@@ -28,7 +28,7 @@ class Cell(NamedTuple):
     """Picture; None if it could not be drawn: the caption says why."""
 
 
-def draw_sheet(cells: Sequence[Cell], columns: int, width: int, title: str) -> Image:
+def draw_sheet(cells: Sequence[CaptionedPicture], columns: int, width: int, title: str) -> Image:
     """Draw small pictures in rows.
 
     Args:

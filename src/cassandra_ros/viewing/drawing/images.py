@@ -57,7 +57,7 @@ _DEPTH_HEADER = struct.Struct("<iff")
 """Header that compressed_depth_image_transport writes: an enum and two parameters."""
 
 
-class _Layout(NamedTuple):
+class _SampleLayout(NamedTuple):
     """Arrangement of the samples of an encoding."""
 
     sample: str
@@ -134,18 +134,18 @@ def _drawn(row: StoredRow, msg: Any) -> Image:
     return _picture(grey[:, :, [layout.kind.index(colour) for colour in "rgb"]])
 
 
-def _layout_of(row: StoredRow, encoding: str) -> _Layout:
+def _layout_of(row: StoredRow, encoding: str) -> _SampleLayout:
     name = encoding.strip().lower()
     if name in _NAMED:
-        return _Layout(*_NAMED[name])
+        return _SampleLayout(*_NAMED[name])
     match = _OPENCV.fullmatch(name)
     if match is not None:
         bits, sign, channels = int(match[1]), match[2], int(match[3])
         sample = f"{'i' if sign == 's' else sign}{bits // 8}"
         if channels == 1 and sample != "f1":
-            return _Layout(sample, "l" if sample == "u1" else _DEPTH)
+            return _SampleLayout(sample, "l" if sample == "u1" else _DEPTH)
         if channels in _OPENCV_COLOURS and sample in ("u1", "u2"):
-            return _Layout(sample, _OPENCV_COLOURS[channels])
+            return _SampleLayout(sample, _OPENCV_COLOURS[channels])
     encodings = ", ".join([*_NAMED, "8UC1, 8UC3, 8UC4, 16UC1, 16SC1, 32SC1, 32FC1, 64FC1"])
     raise UnknownEncoding(
         f"the image of topic {row.topic} at {row.t} is encoded as {encoding!r:.80}, which cannot "
@@ -153,7 +153,7 @@ def _layout_of(row: StoredRow, encoding: str) -> _Layout:
     )
 
 
-def _samples(row: StoredRow, msg: Any, layout: _Layout) -> np.ndarray[Any, Any]:
+def _samples(row: StoredRow, msg: Any, layout: _SampleLayout) -> np.ndarray[Any, Any]:
     """Return a view of the samples: rows, columns, channels."""
     sample = np.dtype(layout.sample).newbyteorder(">" if msg.is_bigendian else "<")
     height, width, size = int(msg.height), int(msg.width), sample.itemsize

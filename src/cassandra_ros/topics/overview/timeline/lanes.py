@@ -26,9 +26,9 @@ from cassandra_ros.topics.overview.timeline.range_counts import (
     named_pieces,
 )
 from cassandra_ros.topics.overview.timeline.time_cells import (
-    Cells,
     Longs,
     Scale,
+    TimeCells,
     TimeRanges,
     gaps_between,
     gaps_in,
@@ -136,9 +136,9 @@ class Lane:
     def _sum(self, counts: Longs) -> int:
         return round(float((counts * self.time_ranges.shares(*self._ends)).sum()))
 
-    def cells(self, scale: Scale) -> Cells:
+    def cells(self, scale: Scale) -> TimeCells:
         """Return the number of messages in each cell."""
-        cells = Cells(scale)
+        cells = TimeCells(scale)
         cells.add(self.time_ranges)
         cells.add_times(self.keys.times)
         return cells

@@ -102,7 +102,7 @@ class TimeRanges(NamedTuple):
 
 
 @dataclass
-class Cells:
+class TimeCells:
     """Counts of messages in the cells of a scale, to which time ranges and messages are added."""
 
     scale: Scale
