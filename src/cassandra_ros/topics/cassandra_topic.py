@@ -514,8 +514,8 @@ class CassandraTopic:
         """
         finder = self._finder(nodeID, where, run)
         names = None if fields is None else check_list("fields", fields, "['linear.x']")
-        wanted = None if names is None else wanted_columns(str(n).split(".") for n in names)
-        schema = ArrowSchema(finder.tables, wanted, names)
+        columns = None if names is None else wanted_columns(str(n).split(".") for n in names)
+        schema = ArrowSchema(finder.tables, columns, names)
         batches = read_batches(self.name, schema, *finder.reads(key, to_key))
         return schema.arrow.RecordBatchReader.from_batches(schema.schema, batches)
 

@@ -74,28 +74,30 @@ class Catalog:
         """Lookup of the robots' places in the keyspace."""
 
     def add(
-        self, wanted: TopicMetadata, msg_type: str | None, ask_master: bool = True
+        self, metadata: TopicMetadata, msg_type: str | None, ask_master: bool = True
     ) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored.
 
         Without ``msg_type`` and ``ask_master`` its first message makes it, and fixes its type.
         """
-        topic = wanted.topic
-        if wanted.indexes:
-            check_unnamed(topic, wanted.key_format)
+        topic = metadata.topic
+        if metadata.indexes:
+            check_unnamed(topic, metadata.key_format)
         self.keyspace.schema.tables(fresh=True)
-        format_name = self.keyspace.new_tables.format_for(topic, format=wanted.format)
-        wish = Wish(wanted.with_(format=format_name), has_format=wanted.format != "", pending=True)
+        format_name = self.keyspace.new_tables.format_for(topic, format=metadata.format)
+        wish = Wish(
+            metadata.with_(format=format_name), has_format=metadata.format != "", pending=True
+        )
         stored = self.keyspace.tables.of_topic(topic)
         if format_class(format_name).PACKED:
             check_packed(stored[0].metadata if stored else wish.metadata)
-            if wanted.indexes and all(table.packed for table in stored):
+            if metadata.indexes and all(table.packed for table in stored):
                 raise no_index_in_blocks(topic)
         by_master = ask_master and not stored
         definition = self._definition_for(topic, msg_type, by_master)
         for table in stored:
             wish.check(table.metadata, definition)
-        added = CassandraTopic(self.keyspace, self.adder, wish)
+        new_topic = CassandraTopic(self.keyspace, self.adder, wish)
         if not any(table.metadata.format == format_name for table in stored):
             self.keyspace.schema.seen.discard((topic, format_name))
             with self._mutex:
@@ -107,10 +109,10 @@ class Catalog:
                 with self._mutex:
                     self._pending.pop(topic, None)
                 raise
-        for field in wanted.indexes:
-            if added.tables and not added.hasIndex(field):
-                added.createIndex(field)
-        return added
+        for field in metadata.indexes:
+            if new_topic.tables and not new_topic.hasIndex(field):
+                new_topic.createIndex(field)
+        return new_topic
 
     def _definition_for(
         self, topic: str, msg_type: str | None, by_master: bool

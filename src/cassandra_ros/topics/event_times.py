@@ -18,8 +18,8 @@ _E = TypeVar("_E", bound=NamedTime)
 
 def merged_events(streams: Iterable[Iterator[_E]]) -> Iterator[_E]:
     """Yield the events of several stores, each once, by their places; they come by their places."""
-    merged = heapq.merge(*streams, key=lambda event: event.order())
-    copies = (list(group) for _, group in groupby(merged, key=lambda event: event.order()))
+    events = heapq.merge(*streams, key=lambda event: event.order())
+    copies = (list(group) for _, group in groupby(events, key=lambda event: event.order()))
     # It may have ended in one store and last in a copy.
     return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
 

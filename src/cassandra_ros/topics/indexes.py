@@ -206,8 +206,8 @@ class IndexFilling:
         for page in backfill.pages(*place, largest):
             backfill.write(list(self._updates(table, index, page, totals)))
             self._progress(self._done, max(self._done, self._total))
-        done = [r.writer for r in writers if self._mark(table, r, index.shadow, totals[r.writer])]
-        return sum(totals[writer].rows for writer in done), len(done)
+        ids = [r.writer for r in writers if self._mark(table, r, index.shadow, totals[r.writer])]
+        return sum(totals[writer].rows for writer in ids), len(ids)
 
     def _updates(
         self,
@@ -218,8 +218,8 @@ class IndexFilling:
     ) -> Iterator[ShadowUpdate]:
         for written in page:
             row = written.row
-            counted = totals.get(split_seq(row.seq)[0])
-            if counted is None:
+            writer_totals = totals.get(split_seq(row.seq)[0])
+            if writer_totals is None:
                 continue
             try:
                 value, odd = index.value(read_wire(table, row))
@@ -227,7 +227,7 @@ class IndexFilling:
                 topic = table.metadata.topic
                 _log.warning("a message of topic %s cannot be indexed: %s", topic, exc)
                 value, odd = None, True
-            counted.count(row.t, row.size, row.nchunks > 0, odd or row.odd)
+            writer_totals.count(row.t, row.size, row.nchunks > 0, odd or row.odd)
             self._done += 1
             if value is not None or (odd and not row.odd):
                 yield ShadowUpdate(written, value)
@@ -237,8 +237,8 @@ class IndexFilling:
         uncertain = False
         for _ in range(MAX_TRIES):
             try:
-                done = self._directory.put_recount(table.name, marked, totals, table.metadata.ttl)
-                return done or (uncertain and self._is_marked(table, row, shadow))
+                put = self._directory.put_recount(table.name, marked, totals, table.metadata.ttl)
+                return put or (uncertain and self._is_marked(table, row, shadow))
             except StoreUnavailable as exc:
                 # Another transaction interfered; this one may have been applied or not.
                 _log.debug("a bucket of topic %s is not marked: %s", table.metadata.topic, exc)

@@ -236,13 +236,13 @@ class MessageWriter:
             SchemaConflict, StoreUnavailable: The tables cannot be made. Some may have been made.
         """
         requests = [request._replace(format=request.format or self._format) for request in several]
-        wanted = [(self._new_table(request)[0], request.connection) for request in requests]
-        wanted = [(new, of) for new, of in wanted if new.metadata.md5sum != ANY_MD5]
-        if not wanted:
+        new_tables = [(self._new_table(request)[0], request.connection) for request in requests]
+        new_tables = [(new, of) for new, of in new_tables if new.metadata.md5sum != ANY_MD5]
+        if not new_tables:
             return
-        tables = self._keyspace.new_tables.make_all([new for new, _ in wanted])
+        tables = self._keyspace.new_tables.make_all([new for new, _ in new_tables])
         self._keyspace.connections.put_all(
-            [(table.name, of) for table, (_, of) in zip(tables, wanted) if table]
+            [(table.name, of) for table, (_, of) in zip(tables, new_tables) if table]
         )
 
     def _new_table(self, request: Asked) -> tuple[NewTable, str | None]:
@@ -250,14 +250,14 @@ class MessageWriter:
         connection, like = request.connection, request.like
         check_new_topic(connection.topic)
         name = request.format or (like.format if like is not None else None)
-        wanted = name or self.format_of(connection)
-        definition, warning = usable_definition(connection, wanted)
+        format = name or self.format_of(connection)
+        definition, warning = usable_definition(connection, format)
         metadata = replace(
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
             topic=connection.topic,
             msg_type=connection.type,
             md5sum=connection_kind(connection).md5sum,
-            format=wanted if definition is not None else FALLBACK_FORMAT,
+            format=format if definition is not None else FALLBACK_FORMAT,
             bucket_ns=request.bucket_ns or 0,
             span_ns=request.span_ns or 0,
             definition=definition.text if definition else connection.definition_text,
@@ -429,7 +429,7 @@ class MessageWriter:
 
     def write_run(self, handle: Handle, times: Longs, counters: Longs, wires: Wires) -> None:
         """Take several messages in this order, like write but faster."""
-        taken = 0
+        count = 0
         low = min(times.min(initial=0), counters.min(initial=0))
         valid = low >= 0 and times.max(initial=0) <= MAX_NS
         # With on_loss, errors are reported for single messages, so these are written one by one.
@@ -437,10 +437,10 @@ class MessageWriter:
             seqs = self._high | counters
             handle = self._current(handle)
             if handle.blocks is not None:
-                taken = handle.blocks.take_run(times, seqs, wires)
+                count = handle.blocks.take_run(times, seqs, wires)
             else:
-                taken = self._put_rows(handle, times, seqs, wires)
-        rest = zip(times[taken:].tolist(), counters[taken:].tolist(), wires[taken:])
+                count = self._put_rows(handle, times, seqs, wires)
+        rest = zip(times[count:].tolist(), counters[count:].tolist(), wires[count:])
         for t_ns, counter, wire in rest:
             self.write(handle, t_ns, counter, wire)
 
@@ -450,15 +450,15 @@ class MessageWriter:
         Return the number of messages written before the first one that needs another table.
         """
         table = handle.table
-        taken = 0
+        count = 0
         rows = table.make_rows(times.tolist(), seqs.tolist(), handle.conn, wires)
         again = partial(self._row_anew, handle)
         ends = np.flatnonzero(np.diff(times // table.metadata.bucket_ns)) + 1
         for end in [*ends.tolist(), len(rows)]:
-            taken += self._rows.add_run(table, handle.node, rows[taken:end], again)
-            if taken < end:
+            count += self._rows.add_run(table, handle.node, rows[count:end], again)
+            if count < end:
                 break
-        return taken
+        return count
 
     def _block_message_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
         self._write_anew(self.ready(handle), t_ns, seq, wire)
@@ -468,13 +468,13 @@ class MessageWriter:
 
     def _current(self, handle: Handle) -> Handle:
         """Return the current handle; wait for a silent store as long as for a row."""
-        begun = time.monotonic()
+        start = time.monotonic()
         while True:
             try:
                 return self.current(handle)
             except StoreUnavailable:
                 over = self._keyspace.cassandra.outage.left_sec <= 0
-                if over or time.monotonic() >= self._rows.patience.ends(begun):
+                if over or time.monotonic() >= self._rows.patience.ends(start):
                     raise
                 time.sleep(TABLE_PAUSE_SEC)
 

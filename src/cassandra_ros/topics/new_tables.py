@@ -69,9 +69,9 @@ def wished_topic(
     )
 
 
-def with_key(wanted: TopicMetadata, key_format: str | None, key_part: str) -> TopicMetadata:
+def with_key(metadata: TopicMetadata, key_format: str | None, key_part: str) -> TopicMetadata:
     """Return metadata with the requested key; '' = as the topic is stored."""
-    return wanted.with_(key_format=check_key_format(key_format, key_part), key_part=key_part)
+    return metadata.with_(key_format=check_key_format(key_format, key_part), key_part=key_part)
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,13 @@ class Wish:
 
     def check(self, stored: TopicMetadata, definition: Definition | None) -> None:
         """Raise TopicExists if the topic is stored with other values than requested."""
-        wrong, wanted = [], self.metadata
+        wrong, metadata = [], self.metadata
         if definition is not None and not definition.kind.fits(kind_of(stored)):
-            wrong.append(f"type {type_texts(stored, _with_type(wanted, definition))[0]}")
-        key = (wanted.key_format, wanted.key_part)
-        if wanted.key_format and key != (stored.key_format, stored.key_part):
+            wrong.append(f"type {type_texts(stored, _with_type(metadata, definition))[0]}")
+        key = (metadata.key_format, metadata.key_part)
+        if metadata.key_format and key != (stored.key_format, stored.key_part):
             wrong.append(f"key_format {stored.key_format} {stored.key_part}".rstrip())
-        if wanted.ttl and wanted.ttl != stored.ttl:
+        if metadata.ttl and metadata.ttl != stored.ttl:
             wrong.append(f"ttl {stored.ttl} s")
         if wrong:
             raise TopicExists(
@@ -197,18 +197,18 @@ class NewTables:
         if wished or (fitting and not wish.has_format):
             return (wished or fitting)[0]
         if tables and not any(table.kind.fits(definition.kind) for table in tables):
-            stored, given = type_texts(tables[0].metadata, _with_type(wish.metadata, definition))
+            old, new = type_texts(tables[0].metadata, _with_type(wish.metadata, definition))
             raise TypeMismatch(
-                f"topic {topic} holds {stored}, the message is {given}; nothing was stored: store "
+                f"topic {topic} holds {old}, the message is {new}; nothing was stored: store "
                 "it under another topic"
             )
         return self.for_wish(wish, definition)
 
 
-def _with_type(wanted: TopicMetadata, definition: Definition) -> TopicMetadata:
+def _with_type(metadata: TopicMetadata, definition: Definition) -> TopicMetadata:
     """Return metadata with the type of a definition."""
     kind, md5sum, text = definition.type, definition.md5sum, definition.text
-    return wanted.with_(msg_type=kind, md5sum=md5sum, definition=text)
+    return metadata.with_(msg_type=kind, md5sum=md5sum, definition=text)
 
 
 def planner(metadata: TopicMetadata, definition: Definition | None) -> Planner:
@@ -317,9 +317,9 @@ def check_packed(metadata: TopicMetadata, definition: Definition | None = None) 
     )
 
 
-def _span(wanted: int, bucket_ns: int) -> int:
+def _span(span_ns: int, bucket_ns: int) -> int:
     """Return the maximum time range of a block, ns; wanted 0 = the rate is unknown."""
-    return min(max(wanted or UNKNOWN_SPAN_NS, MIN_SPAN_NS), bucket_ns)
+    return min(max(span_ns or UNKNOWN_SPAN_NS, MIN_SPAN_NS), bucket_ns)
 
 
 def _default_bucket(definition: Definition | None) -> int:

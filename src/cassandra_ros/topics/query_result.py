@@ -158,11 +158,11 @@ def read_place(cursor: Cursor) -> ResultPlace:
         return START
     if isinstance(cursor, Position):
         return ResultPlace(0, 0, cursor)
-    given, _, rest = str(cursor).partition(".")
+    number, _, rest = str(cursor).partition(".")
     skip, _, position = rest.partition(".")
-    if not all(n.isascii() and n.isdigit() and len(n) <= _MAX_DIGITS for n in (given, skip)):
+    if not all(n.isascii() and n.isdigit() and len(n) <= _MAX_DIGITS for n in (number, skip)):
         raise InvalidKey(f"{str(cursor)[:80]!r} is not a cursor of this package")
-    return ResultPlace(int(given), int(skip), decode_cursor(position))
+    return ResultPlace(int(number), int(skip), decode_cursor(position))
 
 
 _NOWHERE = Position(0, "", 0, "")
@@ -222,8 +222,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._row: Row | None = None
         """Row of which the last result rows were taken."""
         self._projections = Projections(select, tables)
-        shown = self._projections.names[: len(select.visible)]
-        self.columns = tuple(name for names in shown for name in names)
+        visible_names = self._projections.names[: len(select.visible)]
+        self.columns = tuple(name for names in visible_names for name in names)
         condition = None if bounds.whole else select.condition
         self.pushdown = Pushdown(condition, plan, watch, tables)
         unnested = any(projection.unnested for projection in self._projections)
@@ -297,11 +297,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self.hints += warn_of_unknown_names(condition, tables, self._bounds.read)
 
     def _select_rows(self, place: ResultPlace) -> _Rows:
-        given = place.given
-        last = None if self._left is None else given + self._left
-        if last == given:
+        count = place.given
+        last = None if self._left is None else count + self._left
+        if last == count:
             return
-        seen, table = place.position, None
+        cursor, table = place.position, None
         for row in self._stored_rows(place):
             if row.table is not table:
                 table = row.table
@@ -310,20 +310,20 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             values = next(results, None)
             if values is None:
                 continue
-            skip = place.skip if seen is not None and _is_at(row, seen, self._source) else 0
+            skip = place.skip if cursor is not None and _is_at(row, cursor, self._source) else 0
             number = 0
             while values is not None:
-                following = next(results, None)
+                next_values = next(results, None)
                 number += 1
                 if number > skip:
-                    given += 1
+                    count += 1
                     # All rows of the message were returned: continue after it.
-                    self._given, self._skip = given, 0 if following is None else number
+                    self._given, self._skip = count, 0 if next_values is None else number
                     self._row = row
                     yield values
-                    if given == last:
+                    if count == last:
                         return
-                values = following
+                values = next_values
 
     def _stored_rows(self, place: ResultPlace) -> Iterator[Row]:
         at, bounds = place.position, self._bounds
@@ -333,10 +333,10 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             return self._read(bounds, self._left if self.direct else None)
         # Begin with the message at the cursor, because some of its rows may be missing, and the
         # store can continue after a position only in ascending order.
-        narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
+        cut_bounds = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
         return (
             row
-            for row in self._read(narrowed)
+            for row in self._read(cut_bounds)
             if (
                 place.skip if _is_at(row, at, self._source) else is_after(row.position, at, reverse)
             )
@@ -359,15 +359,15 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self._watch()
             yield span
 
-    def _gather(self, given: int) -> _Rows:
-        """Yield rows that are made from several rows, after the first ``given`` ones."""
+    def _gather(self, count: int) -> _Rows:
+        """Yield rows that are made from several rows, after the first ``count`` ones."""
         one = bool(self.select.aggregates) and not self.select.group
-        if (given and one) or self._left == 0:
+        if (count and one) or self._left == 0:
             return
-        last = None if self._left is None else given + self._left
-        for row in islice(self._make_rows(last), given, last):
-            given += 1
-            self._place = ResultPlace(given, 0, _NOWHERE)
+        last = None if self._left is None else count + self._left
+        for row in islice(self._make_rows(last), count, last):
+            count += 1
+            self._place = ResultPlace(count, 0, _NOWHERE)
             yield row
 
     def _make_rows(self, most: int | None) -> Iterator[ResultRow]:
@@ -386,13 +386,13 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 def _warn_of_units(select: Select, source: Source[Row]) -> None:
     for literal in in_another_unit(select.condition):
         first = next(iter(source.read(Read(wanted=1))), None)
-        meant = "" if first is None else other_unit(literal.value, first.t)
-        if meant:
+        unit_text = "" if first is None else other_unit(literal.value, first.t)
+        if unit_text:
             _log.warning(
                 "KEY is compared with %s, which means nanoseconds since 1970, long before the "
                 "first message; %s",
                 literal.value,
-                meant,
+                unit_text,
             )
 
 

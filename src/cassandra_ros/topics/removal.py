@@ -48,12 +48,12 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
         writers: dict[tuple[str, int], set[int]] = {}
         for row in rows:
             writers.setdefault((row.node, row.bucket), set()).add(row.writer)
-        for (node, bucket), listed in sorted(writers.items()):
+        for (node, bucket), row_writers in sorted(writers.items()):
             if table.packed:
                 deleted += _delete_blocks(space, (table, node, bucket), read)
-            elif whose.writers is None or listed <= whose.writers:
+            elif whose.writers is None or row_writers <= whose.writers:
                 deleted += _delete_bucket(space, (table, node, bucket), low, high, until)
-            elif listed & whose.writers:
+            elif row_writers & whose.writers:
                 # Other writers have rows there too, which stay: delete row by row.
                 deleted += _delete_between(space, (table, node, bucket), read)
     return deleted
@@ -123,7 +123,7 @@ def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us
         rated: All rows of the time range in order, each with whether it is deleted.
         until_us: A time of the server before these were read, us: rows written later stay.
     """
-    deleted = held = 0
+    deleted = pending = 0
     runs: dict[_Partition, list[list[_Key]]] = {}
     rated = iter(rated)
     for row, goes in rated:
@@ -134,14 +134,14 @@ def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us
         mine = runs.setdefault(_partition_of(row), [[]])
         if goes:
             mine[-1].append(_key_of(row))
-            held += 1
+            pending += 1
         elif mine[-1]:
             mine.append([])
-        if held == ROWS_AT_ONCE:
+        if pending == ROWS_AT_ONCE:
             _delete_runs(space, runs, until_us)
-            deleted, held, runs = deleted + held, 0, {}
+            deleted, pending, runs = deleted + pending, 0, {}
     _delete_runs(space, runs, until_us)
-    return deleted + held
+    return deleted + pending
 
 
 def _delete_runs(space: Keyspace, runs: dict[_Partition, list[list[_Key]]], until_us: int) -> None:

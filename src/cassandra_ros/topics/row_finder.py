@@ -297,12 +297,12 @@ def unit_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) ->
         return ""
     timed = [table for table in tables if not table.named]
     first = next(keyspace.rows.read(timed, Read(wanted=1)), None)
-    meant = "" if first is None else other_unit(key, first.t)
-    if first is None or not meant:
+    unit_text = "" if first is None else other_unit(key, first.t)
+    if first is None or not unit_text:
         return ""
     return (
         f"{key} means nanoseconds since 1970, long before the first message of topic "
-        f"{first.topic}; {meant}"
+        f"{first.topic}; {unit_text}"
     )
 
 
@@ -329,12 +329,12 @@ Where = Union[str, Tuple[str, Sequence[Any]]]
 
 def checked_where(where: Where) -> tuple[str, Sequence[Any]]:
     """Return the text and the parameters of a condition. Raises InvalidQuery."""
-    given = (where, ()) if isinstance(where, str) else where
-    pair = isinstance(given, (tuple, list)) and len(given) == 2
-    if not (pair and isinstance(given[0], str)):
-        wanted = "where= takes a condition as text, or a pair (text, parameters)"
-        raise InvalidQuery(repr(where)[:200], 0, wanted)
-    return given
+    pair = (where, ()) if isinstance(where, str) else where
+    is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2
+    if not (is_pair and isinstance(pair[0], str)):
+        hint = "where= takes a condition as text, or a pair (text, parameters)"
+        raise InvalidQuery(repr(where)[:200], 0, hint)
+    return pair
 
 
 class Filter:

@@ -89,11 +89,11 @@ class RowReader:
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
     ) -> Iterator[StoredRow]:
         if len(tables) == 1:
-            made: Iterable[StoredRow] = map(StoredRow, rows, repeat(tables[0]))
+            stored_rows: Iterable[StoredRow] = map(StoredRow, rows, repeat(tables[0]))
         else:
             by_name = {table.name: table for table in tables}
-            made = (StoredRow(row, by_name[row.table]) for row in rows)
-        for row in chunks_ahead(made):
+            stored_rows = (StoredRow(row, by_name[row.table]) for row in rows)
+        for row in chunks_ahead(stored_rows):
             self._cassandra.require_open()  # so that an iterator ends when the connection is closed
             yield row
 
@@ -120,8 +120,8 @@ class RowReader:
                 nodes_listed = {node for _, node in self._directory.nodes(table.name, 0, 0)}
                 names = sorted(nodes_listed if nodes is None else nodes_listed.intersection(nodes))
                 streams.append(versions(table, only.name, names, reverse=read.reverse))
-        merged = heapq.merge(*streams, key=lambda row: row.position, reverse=read.reverse)
-        return (row for row in merged if read.whose.has(row) and _inside(row.position, read))
+        rows = heapq.merge(*streams, key=lambda row: row.position, reverse=read.reverse)
+        return (row for row in rows if read.whose.has(row) and _inside(row.position, read))
 
     def _by_value(
         self, tables: Sequence[TopicTable], only: Valued, read: Read
@@ -139,14 +139,14 @@ class RowReader:
                 keys.append(self._keys_of(table, key_part, value, read.whose))
         if problems and len(problems) == len(parts):
             raise problems[0]  # the field has the value's type in none of the tables
-        merged: Iterable[RowKey] = heapq.merge(*keys, key=lambda key: key.position)
-        merged = (key for key in merged if _inside(key.position, read))
-        yield from fetch_rows(reversed(list(merged)) if read.reverse else merged)
+        row_keys: Iterable[RowKey] = heapq.merge(*keys, key=lambda key: key.position)
+        row_keys = (key for key in row_keys if _inside(key.position, read))
+        yield from fetch_rows(reversed(list(row_keys)) if read.reverse else row_keys)
 
     def _keys_of(
-        self, table: TopicTable, key_part: KeyPart, wanted: bytes, whose: Whose
+        self, table: TopicTable, key_part: KeyPart, value: bytes, whose: Whose
     ) -> Iterator[RowKey]:
-        index = key_part.index(wanted)
+        index = key_part.index(value)
         if index is not None:
             shadow = table.metadata.indexes[key_part.field]
             keys = keys_by_shadow(self._directory, table, shadow, index, whose.nodes)
@@ -154,7 +154,7 @@ class RowReader:
             return
         # The text is too long for the index: its rows are marked as odd.
         for row in self.read([table], Read(whose=whose)):
-            if row.odd and key_part.value(row.wire) == wanted:
+            if row.odd and key_part.value(row.wire) == value:
                 yield RowKey(table, row.position)
 
     def received(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
@@ -235,9 +235,9 @@ def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
     tables = current(tables)
     while True:
         try:
-            done = work(tables)
+            result = work(tables)
             if not _was_replaced(tables):
-                return done
+                return result
             tables = current(tables)
         except TopicNotFound as exc:
             tables = _present_tables(tables, exc)
@@ -257,11 +257,11 @@ def _same(tables: Tables, now: Tables) -> bool:
     return now is tables or {table.name for table in now} == {table.name for table in tables}
 
 
-def _present_tables(tables: Tables, gone: TopicNotFound) -> Tables:
+def _present_tables(tables: Tables, error: TopicNotFound) -> Tables:
     """Return the present tables; raise the error if none of them is new."""
     now = current(tables, fresh=True)
     if _same(tables, now):
-        raise gone
+        raise error
     return now
 
 
@@ -307,10 +307,10 @@ class FollowingReader:
         last: StoredRow | None = None
         while True:
             tables = current(tables)
-            given = None if last is None else last.arrival[:3]
+            arrival = None if last is None else last.arrival[:3]
             try:
                 for row in self._rows.received(tables, read):
-                    if given is None or row.arrival[:3] > given:
+                    if arrival is None or row.arrival[:3] > arrival:
                         last = row
                         yield row
                 if not _was_replaced(tables):
@@ -371,14 +371,14 @@ def _choose(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array
     mask = np.zeros(len(unpacked), bool)
     mask[places] = True
     numbers = np.cumsum(mask) - 1
-    chosen: list[tuple[Int64Array, Planes]] = []
+    groups: list[tuple[Int64Array, Planes]] = []
     for group in unpacked.groups:
         inside = mask[group.members]
         if inside.any():
-            chosen.append(
+            groups.append(
                 (numbers[group.members[inside]], planes_of(group.stored, group.rises)[:, inside])
             )
-    return chosen
+    return groups
 
 
 def _alone(row: StoredRow) -> MessageBlock | None:

@@ -38,25 +38,25 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> list[Run]:
     """
     runs, signs = space.registry.runs(), space.registry.signs()
     open_writers = frozenset(run.writer for run in runs if not _has_ended(run))
-    held: dict[int, _StoredCounts] = {}
+    counts: dict[int, _StoredCounts] = {}
     if open_writers:
-        held = followed(tables, lambda now: _count_stored(space.directory, now, open_writers))
+        counts = followed(tables, lambda now: _count_stored(space.directory, now, open_writers))
     lost: dict[int, Counts[str]] = {}
     for loss in space.registry.losses() if open_writers else ():
         lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count
-    listed: list[Run] = []
+    answer: list[Run] = []
     for run in runs:
         sign = signs.get((run.writer, run.node), SignOfLife(math.inf, False))
         if _has_ended(run):
-            listed.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
+            answer.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
             continue
-        mine = held.get(run.writer, _StoredCounts())
+        mine = counts.get(run.writer, _StoredCounts())
         alive = not sign.interrupted and min(sign.age_sec, mine.age_sec) <= STALE_SEC
         state = "recording" if alive else "interrupted"
         stored = {topic: count for topic, count in sorted(mine.stored.items()) if count}
         missing = dict(lost.get(run.writer, Counter()))
-        listed.append(replace(run, ended=None, state=state, stored=stored, lost=missing))
-    return listed
+        answer.append(replace(run, ended=None, state=state, stored=stored, lost=missing))
+    return answer
 
 
 def _has_ended(run: Run) -> bool:
@@ -75,12 +75,12 @@ def _count_stored(
         if table.named:
             for key in list_names(table, None):
                 if whose.wrote(key.position.seq):
-                    held = counts.setdefault(writer_of(key.position.seq), _StoredCounts())
-                    held.stored[topic] += 1
+                    run_counts = counts.setdefault(writer_of(key.position.seq), _StoredCounts())
+                    run_counts.stored[topic] += 1
             continue
         rows = buckets_of(directory, table, whose)
         for row in settle(directory, table, rows):
-            held = counts.setdefault(row.writer, _StoredCounts())
-            held.stored[topic] += row.rows
-            held.age_sec = min(held.age_sec, row.age_sec)
+            run_counts = counts.setdefault(row.writer, _StoredCounts())
+            run_counts.stored[topic] += row.rows
+            run_counts.age_sec = min(run_counts.age_sec, row.age_sec)
     return counts

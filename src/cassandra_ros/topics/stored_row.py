@@ -222,7 +222,7 @@ def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
     """
     waiting: deque[tuple[StoredRow, int]] = deque()
     """Rows, and the number of bytes of each that have been requested."""
-    held = budget = 0
+    ahead_bytes = budget = 0
     for row in rows:
         if not (waiting or row.chunked):
             yield row
@@ -231,10 +231,10 @@ def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
         if nbytes:
             row.ask()
         waiting.append((row, nbytes))
-        held += nbytes
-        while waiting and (held >= budget or len(waiting) > AHEAD_ROWS):
+        ahead_bytes += nbytes
+        while waiting and (ahead_bytes >= budget or len(waiting) > AHEAD_ROWS):
             first, nbytes = waiting.popleft()
-            held -= nbytes
+            ahead_bytes -= nbytes
             yield first
             if first.chunked:
                 budget = min(AHEAD_BYTES, 2 * budget + first.size) if first.was_read else 0
@@ -267,18 +267,18 @@ def with_messages(
         ConnectionFailed: The connection was closed.
     """
     waiting: list[StoredRow] = []
-    given = held = 0
+    yield_count = nbytes = 0
     try:
         for row in rows:
             large = row.chunked or row.size > LARGE_BYTES
             if not large:
                 waiting.append(row)
-                held += row.size
-            if large or len(waiting) >= min(MAX_ROWS, max(1, given)) or held >= MAX_BYTES:
-                taken, waiting, held = waiting, [], 0
-                given += len(taken) + large
-                if taken:
-                    yield from _make(cassandra, taken)
+                nbytes += row.size
+            if large or len(waiting) >= min(MAX_ROWS, max(1, yield_count)) or nbytes >= MAX_BYTES:
+                batch, waiting, nbytes = waiting, [], 0
+                yield_count += len(batch) + large
+                if batch:
+                    yield from _make(cassandra, batch)
             if large:
                 yield row, row.message()
     except CassandraRosError:
@@ -306,9 +306,9 @@ def _messages(rows: Sequence[StoredRow]) -> Iterable[Any]:
     if len(by_class) == 1:
         (cls,) = by_class
         return deserialize_all(cls, [row.wire for row in rows])
-    made: list[Any] = [None] * len(rows)
+    all_messages: list[Any] = [None] * len(rows)
     for cls, members in by_class.items():
         messages = deserialize_all(cls, [rows[n].wire for n in members])
         for n, message in zip(members, messages):
-            made[n] = message
-    return made
+            all_messages[n] = message
+    return all_messages

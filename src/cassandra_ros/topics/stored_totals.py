@@ -109,9 +109,9 @@ def _count_edge(table: TopicTable, group: Sequence[BucketRow], read: Read) -> in
     """Count the messages of a bucket that is partly in a time range."""
     low, high = read.time_range
     if all(row.closed for row in group) and not table.metadata.ttl:
-        met = [row for row in group if row.rows and row.t_min <= high and row.t_max >= low]
-        if all(low <= row.t_min and row.t_max <= high for row in met):
-            return sum(row.rows for row in met)
+        entries = [row for row in group if row.rows and row.t_min <= high and row.t_max >= low]
+        if all(low <= row.t_min and row.t_max <= high for row in entries):
+            return sum(row.rows for row in entries)
     return count_part(table, group[0].node, group[0].bucket, (low, high), read.whose.writers)
 
 
@@ -192,14 +192,14 @@ def buckets_of(
 
 def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:
     """Return totals of the messages of each name and node, each in the form of a bucket."""
-    counted: dict[tuple[str, str], BucketTotals] = {}
+    totals_by_name: dict[tuple[str, str], BucketTotals] = {}
     for (t, node, seq, _, name), size, chunked, odd in list_names(table, whose.nodes):
         if not whose.wrote(seq):
             continue
-        counted.setdefault((node, name), BucketTotals()).count(t, size, chunked, odd)
+        totals_by_name.setdefault((node, name), BucketTotals()).count(t, size, chunked, odd)
     return [
         BucketRow(node, number, 0, True, None, age_sec=0.0, **vars(totals))
-        for number, ((node, _), totals) in enumerate(counted.items())
+        for number, ((node, _), totals) in enumerate(totals_by_name.items())
     ]
 
 

@@ -335,8 +335,8 @@ def stored_format(tables: Sequence[TopicMetadata], md5sum: str = "") -> str:
         tables: Metadata of the tables of one topic, at least one.
     """
     # One publisher without a usable definition must not decide for all other publishers.
-    chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
-    return max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format)).format
+    usable = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
+    return max(usable, key=lambda m: (m.md5sum == md5sum, m.date, m.format)).format
 
 
 _Value = Callable[[bytes], Tuple[Optional[bytes], bool]]

@@ -106,6 +106,6 @@ class MessageFinder:
         # The block with the message first: a time may have more blocks than are kept.
         blocks.sort(key=lambda block: not len(block.between((t, seq), (t, seq))))
         self._kept = ([(node, block) for block in blocks] + self._kept)[:KEPT_BLOCKS]
-        held = bool(blocks) and len(blocks[0].between((t, seq), (t, seq))) > 0
-        if problem is not None and not held:
+        has_message = bool(blocks) and len(blocks[0].between((t, seq), (t, seq))) > 0
+        if problem is not None and not has_message:
             raise problem

@@ -180,9 +180,9 @@ class Block:
         first, last = self._first_from(low), self._first_from((high[0], high[1] + 1))
         if not len(self.row.gone):
             return np.arange(first, last)
-        kept = np.ones(len(self), bool)
-        kept[self.row.gone] = False
-        return np.flatnonzero(kept[first:last]) + first
+        stays = np.ones(len(self), bool)
+        stays[self.row.gone] = False
+        return np.flatnonzero(stays[first:last]) + first
 
     def _first_from(self, order: Order) -> int:
         t, seq = order
@@ -206,10 +206,10 @@ class Block:
     def _row(self, place: int, t: int, seq: int) -> TableRow:
         # Like rows, without the parts that would take longer than all of this.
         row, wire = self.row, None if self.unpacked is None else self.unpacked.wire(place)
-        sent = row.nchunks, row.crc if row.nchunks else 0, False, None, (wire,), ""
+        tail = row.nchunks, row.crc if row.nchunks else 0, False, None, (wire,), ""
         received = -1 if self._received is None else int(self._received[place])
         head = t, self._node, seq, self._table.name, row.conn, int(self.sizes[place])
-        return TableRow(*head, *sent, received, row.block_key, place)
+        return TableRow(*head, *tail, received, row.block_key, place)
 
     def rows(self, places: Longs, *, bare: bool = False) -> list[TableRow]:
         """Return the rows of some of its messages; bare: without their bytes."""

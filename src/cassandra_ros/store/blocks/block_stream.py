@@ -199,8 +199,8 @@ class OpenedBlock:
         """Take at most ``count`` messages, from the beginning or (reverse) from the end."""
         cut = max(0, self.left - count) if reverse else min(count, self.left)
         parts = self.places[:cut], self.places[cut:]
-        taken, self.places = parts[::-1] if reverse else parts
-        return OpenedBlock(self.row, self.block, taken)
+        places, self.places = parts[::-1] if reverse else parts
+        return OpenedBlock(self.row, self.block, places)
 
 
 class WaitingRows:
@@ -393,12 +393,12 @@ class BlockQueue:
         """Request the blocks that are needed next; None if all blocks were read."""
         while self._headers.more and not self._is_known():
             self.read()
-        taken, wanted = self._take(), self._wanted
+        items, wanted = self._take(), self._wanted
         if self._bucket.wanted:
             self._wanted *= GROWTH
             self._bytes = min(self._bucket.page_bytes, GROWTH * self._bytes)
         early = self._headers.take_early()
-        return _Batch(self._bucket, taken, wanted, early) if taken else None
+        return _Batch(self._bucket, items, wanted, early) if items else None
 
     def read(self) -> None:
         """Read more headers."""
@@ -417,12 +417,12 @@ class BlockQueue:
     def rows(self, batch: _Batch) -> Iterator[list[TableRow]]:
         """Yield rows of each block; of a large block only as many as are wanted, the rest later."""
         for block in batch.blocks():
-            taken = block
+            head = block
             if batch.wanted and block.block is not None:
-                taken = block.take(max(FEW_ROWS, batch.wanted), reverse=self._bucket.reverse)
+                head = block.take(max(FEW_ROWS, batch.wanted), reverse=self._bucket.reverse)
                 if block.left:
                     self._add(block)
-            yield self._bucket.rows(taken)
+            yield self._bucket.rows(head)
 
     def _is_known(self) -> bool:
         """Return whether no block with an unread header is needed before the first known one."""
@@ -484,31 +484,31 @@ class BlockQueue:
 
 def upwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     """Yield the rows of a bucket in the order (t, seq)."""
-    held, coming = WaitingRows(), needed.batch()
+    buffer, coming = WaitingRows(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):
-            held.add(rows)
+            buffer.add(rows)
         # A read of few messages gets the rows at hand before more blocks are requested.
         coming = None if bucket.wanted else needed.batch()
         bound = needed.bound_up(coming)
-        yield from held.rest() if bound is None else held.until(bound, bucket.node)
+        yield from buffer.rest() if bound is None else buffer.until(bound, bucket.node)
         coming = coming or needed.batch()
-    yield from held.rest()
+    yield from buffer.rest()
 
 
 def downwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     """Yield the rows of a bucket, newest first."""
-    held, coming = WaitingRows(), needed.batch()
+    buffer, coming = WaitingRows(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):
-            held.add(rows)
+            buffer.add(rows)
         coming = None if bucket.wanted else needed.batch()
-        sure_rows = held.beyond(needed.bound_down(coming))
-        while held and not sure_rows and needed.look(coming):
-            sure_rows = held.beyond(needed.bound_down(coming))
+        sure_rows = buffer.beyond(needed.bound_down(coming))
+        while buffer and not sure_rows and needed.look(coming):
+            sure_rows = buffer.beyond(needed.bound_down(coming))
         yield from sure_rows
         coming = coming or needed.batch()
-    yield from reversed(held.rest())
+    yield from reversed(buffer.rest())
 
 
 ROWS_AT_ONCE = 200
@@ -592,19 +592,19 @@ class _Pages:
 
 
 def _whole(bucket: BucketRead, pages: _Pages) -> Iterator[TableRow]:
-    held = WaitingRows()
+    buffer = WaitingRows()
     for blocks, behind in pages:
         keys: list[Order | None] = [*(block.key for block in blocks[1:]), behind]
         for block, bound in zip(blocks, keys):
             opened = bucket.open(block)
-            if not held and opened.left and (bound is None or opened.last < bound[0]):
+            if not buffer and opened.left and (bound is None or opened.last < bound[0]):
                 # The block overlaps no other. Its rows are made in small groups, because Python's
                 # collector walks through all rows that exist at the same time.
                 while opened.left:
                     yield from bucket.rows(opened.take(ROWS_AT_ONCE, reverse=False))
                 continue
-            held.add(bucket.rows(opened))
-            yield from held.rest() if bound is None else held.until(bound, bucket.node)
+            buffer.add(bucket.rows(opened))
+            yield from buffer.rest() if bound is None else buffer.until(bound, bucket.node)
         if behind is None:
             break
-    yield from held.rest()
+    yield from buffer.rest()

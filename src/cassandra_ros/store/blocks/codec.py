@@ -474,11 +474,11 @@ def pack_block(
     many = _many(sizes)
     if many:
         flags |= _LAYOUTS
-    done = 0
+    start = 0
     for begin, end in many:
-        parts += [*wires[done:begin], *lay_out(wires[begin:end], _cost)]
-        done = end
-    parts += [*wires[done:], words or b""]
+        parts += [*wires[start:begin], *lay_out(wires[begin:end], _cost)]
+        start = end
+    parts += [*wires[start:], words or b""]
     return _finish(flags, parts, len(t))
 
 
@@ -558,29 +558,29 @@ def _decode(
 
     Those that are not planes but plain, and those with planes that are stored as differences.
     """
-    ordered = np.sort(sizes)
-    short = int(np.searchsorted(ordered, LONG)) if coded & _WORDS else len(ordered)
-    words = ordered[short:].tolist()
+    lengths = np.sort(sizes)
+    short = int(np.searchsorted(lengths, LONG)) if coded & _WORDS else len(lengths)
+    words = lengths[short:].tolist()
     as_rows: set[int] = set(words)
     rises: dict[int, Mask] = {}
     parts: list[BytesLike] = []
-    done = 0
-    for begin, end in _many(ordered[:short]) if coded & _LAYOUTS else ():
-        size, between = int(ordered[begin]), int(ordered[done:begin].sum())
+    start = 0
+    for begin, end in _many(lengths[:short]) if coded & _LAYOUTS else ():
+        size, between = int(lengths[begin]), int(lengths[start:begin].sum())
         laid = read_layout(body[between:], size, end - begin)
         if not laid.as_planes:
             as_rows.add(size)
         if laid.rises is not None:
             rises[size] = laid.rises
         parts += body[:between], laid.data
-        body, done = body[between + laid.length :], end
-    rest = int(ordered[done:short].sum())
+        body, start = body[between + laid.length :], end
+    rest = int(lengths[start:short].sum())
     parts += body[:rest], decode_words(body[rest:], words) if words else b""
     if not words and len(body) != rest:
         raise CorruptMessage(f"a block holds {len(body)} bytes where {rest} belong")
     chunks = [chunk for chunk in parts if len(chunk)]
-    joined = memoryview(chunks[0] if len(chunks) == 1 else b"".join(chunks))
-    return joined, frozenset(as_rows), rises
+    messages = memoryview(chunks[0] if len(chunks) == 1 else b"".join(chunks))
+    return messages, frozenset(as_rows), rises
 
 
 def _members(sizes: Longs) -> list[Longs]:

@@ -29,8 +29,8 @@ def host_names(host: str | Sequence[str] | None, usual: str = "") -> list[str]:
         host: The addresses; None or '' = CASSANDRA_ROS_HOST, else ``usual``, else this machine.
         usual: Addresses of the cqlshrc, divided by commas; '' = the cqlshrc has no address.
     """
-    given = host or from_environment("HOST") or usual or DEFAULT_HOST
-    names = given.split(",") if isinstance(given, str) else given
+    hosts = host or from_environment("HOST") or usual or DEFAULT_HOST
+    names = hosts.split(",") if isinstance(hosts, str) else hosts
     return [name.strip() for name in names if name.strip()]
 
 
@@ -43,16 +43,16 @@ def port_number(port: int | str | None, usual: str = "", source: str = "") -> in
         source: File that names ``usual``, for the error text.
     """
     hint = ""
-    given: int | str = DEFAULT_PORT
+    value: int | str = DEFAULT_PORT
     if port is not None and port != "":
-        given = port
+        value = port
     elif from_environment("PORT"):
-        given, hint = from_environment("PORT"), " (CASSANDRA_ROS_PORT)"
+        value, hint = from_environment("PORT"), " (CASSANDRA_ROS_PORT)"
     elif usual:
-        given, hint = usual, f" ({source})"
-    text = str(given)
+        value, hint = usual, f" ({source})"
+    text = str(value)
     if not (text.isascii() and text.isdigit() and len(text) < 6 and 0 < int(text) < 65536):
-        raise InvalidOption(f"{given!r}{hint} is not a port: a number from 1 to 65535")
+        raise InvalidOption(f"{value!r}{hint} is not a port: a number from 1 to 65535")
     return int(text)
 
 

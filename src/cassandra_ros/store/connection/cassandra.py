@@ -493,8 +493,8 @@ class Cassandra:
         self, cql: str, params: Iterable[CqlRow], *, what: str, retry_sec: Seconds = RETRY_SEC
     ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
-        sent = (self.begin(cql, values, what=what, retry_sec=retry_sec) for values in params)
-        return [answer() for answer in sent_ahead(sent, AT_ONCE)]
+        answers = (self.begin(cql, values, what=what, retry_sec=retry_sec) for values in params)
+        return [answer() for answer in sent_ahead(answers, AT_ONCE)]
 
     def schema_change(self, cql: str, *, what: str) -> None:
         """Run one DDL statement and wait until all nodes agree on the schema.

@@ -456,12 +456,12 @@ class BufferedConnection(DefaultConnection):
             if self.deque or self._write_watcher_is_active:
                 return data
             try:
-                sent = self._socket.send(data)
+                count = self._socket.send(data)
             except OSError:  # other than a full buffer: the driver's thread gets the same error
                 return data
-            if sent == len(data):
+            if count == len(data):
                 return None
-            self.deque.append(data[sent:])
+            self.deque.append(data[count:])
         return b""  # wakes the driver's thread
 
 

@@ -72,13 +72,13 @@ class Patience:
         if self._hurried is not None:
             self._answered = time.monotonic()
 
-    def ends(self, begun: float) -> float:
-        """Return until when a request that began at ``begun`` is retried; both monotonic, s."""
+    def ends(self, start: float) -> float:
+        """Return until when a request that began at ``start`` is retried; both monotonic, s."""
         if self._hurried is None:
-            return begun + self._seconds
+            return start + self._seconds
         heard = max(self._hurried, self._answered)
-        latest = min(max(self._hurried, begun), heard) + self._left
-        return min(begun + self._seconds, latest)
+        latest = min(max(self._hurried, start), heard) + self._left
+        return min(start + self._seconds, latest)
 
 
 Seconds = Union[float, Patience]
@@ -97,7 +97,7 @@ def retried(
     Raises:
         CassandraRosError: A retry cannot help, or the time is over.
     """
-    begun, later, is_logged = time.monotonic(), FIRST_PAUSE_SEC, False
+    start, later, is_logged = time.monotonic(), FIRST_PAUSE_SEC, False
     while True:
         try:
             answer = call()
@@ -109,10 +109,10 @@ def retried(
                 raise
             pause = BUSY_PAUSE_SEC if is_busy(exc) else later
             now = time.monotonic()
-            trying_sec = now - begun
-            ends = seconds.ends(begun) if isinstance(seconds, Patience) else begun + seconds
+            trying_sec = now - start
+            ends = seconds.ends(start) if isinstance(seconds, Patience) else start + seconds
             if outage is not None:
-                ends = min(ends, begun + outage.limit_sec)
+                ends = min(ends, start + outage.limit_sec)
             over = outage is not None and outage.left_sec <= 0
             if not is_passing(exc) or now + pause > ends or over:
                 nodes = outage.nodes() if outage is not None else ""
@@ -139,12 +139,12 @@ def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
 
     Taking one from the input sends it.
     """
-    sent: deque[_T] = deque()
+    queue: deque[_T] = deque()
     for request in requests:
-        sent.append(request)
-        if len(sent) >= count:
-            yield sent.popleft()
-    yield from sent
+        queue.append(request)
+        if len(queue) >= count:
+            yield queue.popleft()
+    yield from queue
 
 
 def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:

@@ -133,9 +133,9 @@ class Links:
         if not any(map(_accepts, self._places)):
             return None
         try:
-            made = self._make()
-            self._adopt(made)
-            return made
+            link = self._make()
+            self._adopt(link)
+            return link
         except CassandraRosError as exc:
             _log.debug("no new session with the store at %s: %s", self._where, exc)
             return None

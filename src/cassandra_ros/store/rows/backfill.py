@@ -76,8 +76,8 @@ class Backfill:
     def write(self, updates: Sequence[ShadowUpdate]) -> None:
         """Write the values for rows of one bucket; return when they are acknowledged."""
         batches = [self._batch(group) for group in _parts(updates)]
-        for sent in [self._table.send(batch, "indexing") for batch in batches]:
-            sent.page()
+        for request in [self._table.send(batch, "indexing") for batch in batches]:
+            request.page()
 
     def _batch(self, updates: Sequence[ShadowUpdate]) -> BatchStatement:
         batch = BatchStatement(BatchType.UNLOGGED)

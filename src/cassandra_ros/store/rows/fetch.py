@@ -52,7 +52,7 @@ class RowKey(NamedTuple):
     position: Position
 
 
-def fetch_rows(wanted: Iterable[RowKey], ahead: int = AHEAD) -> Iterator[TableRow]:
+def fetch_rows(keys: Iterable[RowKey], ahead: int = AHEAD) -> Iterator[TableRow]:
     """Yield rows in the given order; rows that were deleted meanwhile are left out."""
     finders: dict[str, MessageFinder] = {}
 
@@ -60,7 +60,7 @@ def fetch_rows(wanted: Iterable[RowKey], ahead: int = AHEAD) -> Iterator[TableRo
         # The block of one message may hold the next ones too, so blocks are not requested ahead.
         return key, None if key.table.packed else _ask(key)
 
-    for key, request in sent_ahead(map(sent, wanted), ahead):
+    for key, request in sent_ahead(map(sent, keys), ahead):
         if request is not None:
             row = _answer(key, request)
         else:
@@ -94,8 +94,8 @@ def first_at(
     if row is not None or nodes is not None:
         return row
     others: list[tuple[RowTable, str]] = []
-    for table, listed in [(table, _begin_listing(directory, table, t)) for table in tables]:
-        all_nodes = listed()
+    for table, list_nodes in [(table, _begin_listing(directory, table, t)) for table in tables]:
+        all_nodes = list_nodes()
         first_nodes = {node for other, node in places if other is table}
         others.extend((table, node) for node in sorted(all_nodes - first_nodes))
         table.known_nodes.update(all_nodes)
@@ -116,8 +116,8 @@ def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[]
     if directory.reads_by_time(table.metadata, None):
         rows = directory.begin_active(table.name, slot, bucket, bucket)
         return lambda: {r.node for r in rows() if not r.closed or r.t_min <= t <= r.t_max}
-    listed = directory.begin_nodes(table.name, (slot, slot))
-    return lambda: {node for _, node in listed()}
+    answer = directory.begin_nodes(table.name, (slot, slot))
+    return lambda: {node for _, node in answer()}
 
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
@@ -155,21 +155,21 @@ def beside(
     buckets: list[tuple[RowTable, Callable[[], list[BucketRow]]]] = []
     for table in tables:
         bucket = table.bucket_of(t)
-        seen = nodes or ()
+        cached_nodes = nodes or ()
         if nodes is None:
             few = directory.has_few_nodes(table.name, slot_of(bucket))
             if not few and directory.reads_by_time(table.metadata, nodes):
                 buckets.append((table, directory.begin_bucket(table.name, bucket)))
                 continue
-            seen, listed = directory.begin_slot(table.name, slot_of(bucket))
-            slots.append((seen, listed))
+            cached_nodes, answer = directory.begin_slot(table.name, slot_of(bucket))
+            slots.append((cached_nodes, answer))
         for way in range(len(ways)):
-            ask(table, seen, way)
+            ask(table, cached_nodes, way)
     for table, rows in buckets:
         found_rows = rows()
         for way, reverse in enumerate(ways):
             ask(table, sorted(_nearest(table, found_rows, t, reverse)), way)
-    if any(set(seen) != set(listed()) for seen, listed in slots):
+    if any(set(cached_nodes) != set(answer()) for cached_nodes, answer in slots):
         return None
     sides = [_best_side(*pair) for pair in zip(streams, ways)]
     low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)

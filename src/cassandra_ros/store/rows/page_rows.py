@@ -122,8 +122,8 @@ def _read_heads(page: RawPage, with_received: bool) -> _Heads | None:
     shape = max(1, len(data) - head.itemsize + 1), head.itemsize
     views = np.lib.stride_tricks.as_strided(data, shape, (1, 1), writeable=False)
     values = views[np.where(fits, starts, 0)].view(head)[:, 0]
-    for name, wanted in _MARKS.items():
+    for name, mark in _MARKS.items():
         if name in (head.names or ()):
-            fits &= values[name] == wanted
+            fits &= values[name] == mark
     received = values["received"].tolist() if with_received else repeat(-1)
     return _Heads(starts, starts + head.itemsize, ends, fits, values, received)

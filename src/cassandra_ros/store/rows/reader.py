@@ -166,29 +166,29 @@ def _ends_of(piece: BucketPart, read: Read) -> tuple[Order, Order]:
     return low, high
 
 
-def _open(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
+def _open(piece: BucketPart, read: Read, queries: Queries) -> Iterator[TableRow]:
     """Request the first rows of a bucket by some queries (None: all rows); return them in order."""
     if piece.table.packed:
-        return _blocks(piece, read, chosen)
-    if chosen is None:
+        return _blocks(piece, read, queries)
+    if queries is None:
         return _Stream(piece, read, _ALL).rows()
     # The queries of a bucket share the memory of one.
-    share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
-    return _merge(piece, read, [_Stream(share, read, query) for query in chosen])
+    share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(queries))))
+    return _merge(piece, read, [_Stream(share, read, query) for query in queries])
 
 
-def _blocks(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
+def _blocks(piece: BucketPart, read: Read, queries: Queries) -> Iterator[TableRow]:
     """Request the first blocks of a bucket; return their messages."""
     chooser = read.chooser
     columns = None if read.columns is None else read.columns(piece.table)
     bare = columns is not None and not columns
-    bucket = _read_of(piece, read, chosen, bare=bare)
-    if chooser is None or chosen is None:
+    bucket = _read_of(piece, read, queries, bare=bare)
+    if chooser is None or queries is None:
         return stream(bucket)
     return _learn_rows(piece, chooser, stream(bucket))
 
 
-def _read_of(piece: BucketPart, read: Read, chosen: Queries, *, bare: bool = False) -> BucketRead:
+def _read_of(piece: BucketPart, read: Read, queries: Queries, *, bare: bool = False) -> BucketRead:
     """Return the read of a bucket of blocks: of those that pass one of some queries; None = all."""
     table, chooser = piece.table, read.chooser
     return BucketRead(
@@ -199,7 +199,7 @@ def _read_of(piece: BucketPart, read: Read, chosen: Queries, *, bare: bool = Fal
         read.reverse,
         read.whose.writers,
         bare=bare,
-        filters=None if chosen is None else [terms for terms, _ in chosen],
+        filters=None if queries is None else [terms for terms, _ in queries],
         sift=None if chooser is None else chooser.sift(table),
         opened=None if chooser is None else partial(chooser.opened, table),
         wanted=piece.first_rows,
@@ -209,11 +209,11 @@ def _read_of(piece: BucketPart, read: Read, chosen: Queries, *, bare: bool = Fal
 
 
 def _open_blocks(
-    piece: BucketPart, read: Read, chosen: Queries
+    piece: BucketPart, read: Read, queries: Queries
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-    bucket = _read_of(piece, read, chosen)
+    bucket = _read_of(piece, read, queries)
     blocks = opened(bucket)
-    if read.chooser is not None and chosen is not None:
+    if read.chooser is not None and queries is not None:
         blocks = _learn_blocks(piece, read.chooser, blocks)
     return zip(repeat(bucket), blocks)
 
@@ -242,9 +242,9 @@ def _merge(piece: BucketPart, read: Read, streams: Sequence[_Stream]) -> Iterato
     """Yield the rows of several queries in one order, without duplicates."""
     count, last = 0, None
     row_streams = [stream.rows() for stream in streams]
-    merged = heapq.merge(*row_streams, key=_place, reverse=read.reverse)
+    all_rows = heapq.merge(*row_streams, key=_place, reverse=read.reverse)
     single = len(row_streams) == 1  # one query returns no duplicates, and rows in order
-    for row in row_streams[0] if single else merged:
+    for row in row_streams[0] if single else all_rows:
         if single:
             count += 1
             yield row
@@ -266,10 +266,10 @@ class _Stream:
     def __init__(self, piece: BucketPart, read: Read, query: Query) -> None:
         self._piece = piece
         self._read = read
-        wanted = None if read.columns is None else read.columns(piece.table)
-        self._columns = piece.table.columns if wanted is None else wanted
+        columns = None if read.columns is None else read.columns(piece.table)
+        self._columns = piece.table.columns if columns is None else columns
         # Conditions are checked on columns, so then whole pages are not made into messages.
-        self._together = wanted is None and read.chooser is None
+        self._together = columns is None and read.chooser is None
         self._place = piece.table.place(piece.node, piece.bucket)
         self._terms, indexed = query
         # To filter a row the server needs fewer columns than to return it. If few rows pass, only
@@ -510,17 +510,17 @@ def foresee(
 def _note_first(
     directory: Directory,
     walks: Iterable[tuple[RowTable, Collection[str]]],
-    begun: Iterable[BucketPart],
+    pieces: Iterable[BucketPart],
     read: Read,
 ) -> None:
     """Cache the buckets in which a read began, and the nodes that were found in each table."""
     groups: dict[str, list[Sequence[BucketRow]]] = {}
-    for piece in begun:
+    for piece in pieces:
         if piece.rows:
             groups.setdefault(piece.table.name, []).append(piece.rows)
-    for table, met in walks:
+    for table, nodes in walks:
         if table.name in groups:
-            directory.first[table.name, read.reverse] = tuple(met), groups[table.name]
+            directory.first[table.name, read.reverse] = tuple(nodes), groups[table.name]
 
 
 def _begins(piece: BucketPart) -> tuple[int, str, str]:
@@ -619,8 +619,8 @@ class _BucketQueue(Generic[_T]):
             self._ask(self._next)
             self._next = next(self._pieces, None)
         if self._unnoted:
-            met = [(table, walk.met) for table, walk in self._unnoted]
-            _note_first(self._directory, met, [bucket for bucket, _, _ in self._asked], self._read)
+            walks = [(table, walk.met) for table, walk in self._unnoted]
+            _note_first(self._directory, walks, [b for b, _, _ in self._asked], self._read)
             self._unnoted = []
         piece, rows, filtered = self._asked.popleft()
         self._look()
@@ -636,8 +636,8 @@ class _BucketQueue(Generic[_T]):
             return True
         if not self._few or not piece.rows or len(self._asked) > AHEAD:
             return False
-        listed = self._listed + sum(other.listed for other, _, _ in self._asked)
-        return piece.start == self._asked[0][0].start or listed < self._rows
+        entries = self._listed + sum(other.listed for other, _, _ in self._asked)
+        return piece.start == self._asked[0][0].start or entries < self._rows
 
     def _set_size(self, piece: BucketPart) -> BucketPart:
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
@@ -653,7 +653,7 @@ class _BucketQueue(Generic[_T]):
             self._asked.append((piece, iter(()), False))
             return
         piece, chooser = self._set_size(piece), self._read.chooser
-        chosen = None if chooser is None else chooser.choose(piece.table, piece.rows)
-        early = self._early.pop(_request(piece), None) if chosen is None else None
-        rows = self._open(piece, self._read, chosen) if early is None else early
-        self._asked.append((piece, rows, chosen is not None))
+        queries = None if chooser is None else chooser.choose(piece.table, piece.rows)
+        early = self._early.pop(_request(piece), None) if queries is None else None
+        rows = self._open(piece, self._read, queries) if early is None else early
+        self._asked.append((piece, rows, queries is not None))

@@ -104,22 +104,22 @@ def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list
     by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
     for row in rows:
         by_bucket.setdefault((row.node, row.bucket), []).append(row)
-    settled: list[BucketRow] = []
+    present_rows: list[BucketRow] = []
     for (node, bucket), group in by_bucket.items():
         if final and all(row.closed for row in group):
-            settled.extend(group)
+            present_rows.extend(group)
             continue
         # The entries that a recount compares itself with are read before it.
         writers = {row.writer for row in group if not row.closed and row.age_sec > STALE_SEC}
         entries = directory.find(table.name, node, bucket) if writers else []
-        counted = recount(table, node, bucket)
+        recounts = recount(table, node, bucket)
         for row in entries:
             if row.writer in writers and row.age_sec > STALE_SEC:
-                _write_back(directory, table, row, counted.get(row.writer, BucketTotals()))
+                _write_back(directory, table, row, recounts.get(row.writer, BucketTotals()))
         for row in group:
-            totals = counted.get(row.writer, BucketTotals())
-            settled.append(row._replace(**vars(totals)))
-    return settled
+            totals = recounts.get(row.writer, BucketTotals())
+            present_rows.append(row._replace(**vars(totals)))
+    return present_rows
 
 
 def _write_back(

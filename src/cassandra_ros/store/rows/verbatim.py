@@ -236,7 +236,7 @@ class VerbatimCopy:
                 return False
         if row[self._chunks_at] is None:
             return True
-        source, wanted = self._source, decode_long(row[self._chunks_at])
+        source, chunk_count = self._source, decode_long(row[self._chunks_at])
         self._schema.ensure_chunk_table(self._target)
         expires = self._expires and row[self._width + 1] is not None
         insert = self._target.insert_stored_chunk() if expires else self._target.insert_chunk()
@@ -251,11 +251,11 @@ class VerbatimCopy:
                 values.append(encode_int(self._lifetime_sec(row) + CHUNK_TTL_MARGIN_SEC))
             self._submit(bind(insert, values), len(data or b""))
             numbers.add(number)
-        if len(numbers) == wanted:
+        if len(numbers) == chunk_count:
             return True
         self.counts.damaged.append(
             f"the message of topic {source.metadata.topic} at {decode_long(row[0])} is incomplete: "
-            f"{len(numbers)} of {wanted} chunks; 'cassandra_bag check' tells more"
+            f"{len(numbers)} of {chunk_count} chunks; 'cassandra_bag check' tells more"
         )
         return False
 
@@ -306,8 +306,8 @@ class VerbatimCopy:
     def _count(self, node: str, bucket: int, row: RawRow) -> None:
         counts, messages = self.counts, 1
         if self._count_at >= 0:
-            gone = row[self._gone_at]
-            messages = decode_long(row[self._count_at]) - (decode_long(gone[:4]) if gone else 0)
+            cuts = row[self._gone_at]
+            messages = decode_long(row[self._count_at]) - (decode_long(cuts[:4]) if cuts else 0)
         else:
             key = node, bucket, self._writer(row)
             totals = counts.totals.setdefault(key, BucketTotals())
@@ -331,8 +331,8 @@ def row_keys(table: RowTable, node: str, bucket: int, writers: frozenset[int]) -
 
 def page_rows(rows: Iterable[BucketRow]) -> int:
     """Return the number of rows of a page, by what the directory says of their bucket."""
-    listed = list(rows)
-    count, nbytes = sum(row.rows for row in listed), sum(row.bytes for row in listed)
+    entries = list(rows)
+    count, nbytes = sum(row.rows for row in entries), sum(row.bytes for row in entries)
     mean = nbytes / count + 100 if count and nbytes else UNKNOWN_ROW_BYTES
     return max(1, min(MAX_PAGE_ROWS, int(PAGE_BYTES / mean)))
 

@@ -532,11 +532,11 @@ class RowWriter:
                     bucket = self._bucket(table, node, rows[0].t // table.bucket_ns)
                 except GONE:
                     break
-                taken = bucket.add_run(rows[at:], again)
-                at += taken
+                count = bucket.add_run(rows[at:], again)
+                at += count
                 if bucket.is_full():
                     self._send(bucket)
-                elif not taken:
+                elif not count:
                     break
         return at
 
@@ -554,7 +554,7 @@ class RowWriter:
 
     def add_block(self, builder: BlockBuilder, block: NewBlock) -> None:
         """Take a block; if that fails its messages are counted as lost."""
-        table, added = builder.table, False
+        table, was_added = builder.table, False
         try:
             if table.name in self.gone:
                 raise TopicNotFound(f"topic {table.metadata.topic} was removed")
@@ -567,13 +567,13 @@ class RowWriter:
                 if waiting and waiting + len(block.data) > BATCH_BYTES:
                     self._send(bucket)
                 bucket.add_block(block)
-                added = True
+                was_added = True
                 if bucket.is_full():
                     self._send(bucket)
         except BaseException as exc:
             # Also after Ctrl-C. From the first chunk on the chunks' outcomes decide.
             is_ours = isinstance(exc, CassandraRosError)
-            if not added and (is_ours or not block.in_chunks):
+            if not was_added and (is_ours or not block.in_chunks):
                 self._fail(table, block.rewriters(), block.times, exc)
             if not is_ours:
                 raise
@@ -885,8 +885,8 @@ class RowWriter:
         totals, hidden = bucket.totals, 0
         try:
             if bucket.must_recount:
-                counted = recount(bucket.table, bucket.node, bucket.bucket)
-                totals = counted.get(self._writer_id, BucketTotals())
+                recounts = recount(bucket.table, bucket.node, bucket.bucket)
+                totals = recounts.get(self._writer_id, BucketTotals())
                 if self._cassandra.finds_all_written:
                     hidden = max(0, bucket.totals.rows - totals.rows)
             self._put(bucket, totals, closed=True)

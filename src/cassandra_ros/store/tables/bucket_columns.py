@@ -53,33 +53,33 @@ class BucketColumns(NamedTuple):
     t_min: Longs
     t_max: Longs
 
-    def where(self, chosen: Bools) -> BucketColumns:
-        """Return the entries for which ``chosen`` is true."""
-        return BucketColumns._make(column[chosen] for column in self)
+    def where(self, mask: Bools) -> BucketColumns:
+        """Return the entries for which ``mask`` is true."""
+        return BucketColumns._make(column[mask] for column in self)
 
 
 def read_columns(
-    cassandra: Cassandra, table: str, wanted: Iterable[SlotRange], *, single: bool = False
+    cassandra: Cassandra, table: str, slot_ranges: Iterable[SlotRange], *, single: bool = False
 ) -> Iterator[BucketColumns]:
-    """Read partitions of cr_bucket, several at once, and yield them in the order of ``wanted``.
+    """Read partitions of cr_bucket, several at once; yield them in the order of ``slot_ranges``.
 
     Args:
         table: Qualified name of cr_bucket.
-        wanted: The partitions and their buckets; each is taken when a request can be sent.
+        slot_ranges: The partitions and their buckets; each is taken when a request can be sent.
         single: The buckets are listed one by one, otherwise they are the ends of a range.
     """
     which = "bucket IN ?" if single else "bucket >= ? AND bucket <= ?"
     cql = (
         f"SELECT {COLUMNS} FROM {table} WHERE tbl = ? AND node = ? AND slot = ? AND {which} LIMIT ?"
     )
-    requests = (_ask(cassandra, cql, slot_range, single) for slot_range in wanted)
+    requests = (_ask(cassandra, cql, slot_range, single) for slot_range in slot_ranges)
     return (answer() for answer in sent_ahead(requests, AT_ONCE))
 
 
 def _ask(
-    cassandra: Cassandra, cql: str, wanted: SlotRange, single: bool
+    cassandra: Cassandra, cql: str, slot_range: SlotRange, single: bool
 ) -> Callable[[], BucketColumns]:
-    place, buckets, limit = wanted
+    place, buckets, limit = slot_range
     values = (*place, list(buckets), limit) if single else (*place, *buckets, limit)
     rows = _ask_rows(cassandra, cql, values, PAGE_ROWS)
     return lambda: columns_of(rows())
@@ -91,10 +91,10 @@ def _ask_rows(
     """Request rows as Cassandra stores their values; return what waits for all of them."""
     bound = cassandra.prepare(cql).bind(values)
     bound.fetch_size = page_rows
-    sent = [cassandra.send_raw(bound)]
+    futures = [cassandra.send_raw(bound)]
 
     def run() -> list[RawRow]:
-        future = sent.pop() if sent else cassandra.send_raw(bound)
+        future = futures.pop() if futures else cassandra.send_raw(bound)
         return list(answered(future, outage))
 
     outage = cassandra.outage
@@ -102,13 +102,13 @@ def _ask_rows(
 
 
 def count_closed(
-    cassandra: Cassandra, table: str, wanted: Iterable[ActiveRange]
+    cassandra: Cassandra, table: str, active_ranges: Iterable[ActiveRange]
 ) -> tuple[int, set[tuple[str, int]]]:
     """Count the messages in closed buckets of all robots.
 
     Args:
         table: Qualified name of cr_active.
-        wanted: The partitions and their buckets.
+        active_ranges: The partitions and their buckets.
 
     Returns:
         The number of messages; node and bucket of those in which some writer's counts are not
@@ -119,7 +119,7 @@ def count_closed(
         "WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
     )
     total, others = 0, set()
-    requests = (_ask_rows(cassandra, cql, span, ACTIVE_PAGE_ROWS) for span in wanted)
+    requests = (_ask_rows(cassandra, cql, span, ACTIVE_PAGE_ROWS) for span in active_ranges)
     for answer in sent_ahead(requests, AT_ONCE):
         rows = answer()
         moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
@@ -143,8 +143,8 @@ def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
 
 
 def _longs(values: Sequence[bytes | None], null: bytes = _NO_LONG) -> Longs:
-    joined = b"".join([null if value is None else value for value in values])
-    return np.frombuffer(joined, ">i8").astype(np.int64)
+    data = b"".join([null if value is None else value for value in values])
+    return np.frombuffer(data, ">i8").astype(np.int64)
 
 
 def is_closed(entry: bytes | None) -> bool:

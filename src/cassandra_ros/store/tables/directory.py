@@ -380,8 +380,8 @@ class Directory:
         Args:
             nodes: The nodeIDs to read; None = all.
         """
-        listed = self.nodes(table, slot_of(first), slot_of(last))
-        slots = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
+        all_slots = self.nodes(table, slot_of(first), slot_of(last))
+        slots = [(slot, node) for slot, node in all_slots if nodes is None or node in nodes]
         requests = self.begin_buckets((table, node, slot, first, last) for slot, node in slots)
         return [row for answer in sent_ahead(requests, AT_ONCE) for row in answer()]
 
@@ -434,8 +434,8 @@ class Directory:
             writer's counts are not final.
         """
         slots = self._slots_between(table, slot_of(first), slot_of(last))
-        wanted = ((table, slot, first, last) for slot in slots)
-        count, others = count_closed(self._cassandra, self._active_table, wanted)
+        ranges = ((table, slot, first, last) for slot in slots)
+        count, others = count_closed(self._cassandra, self._active_table, ranges)
         # In which some writer may have closed its rows meanwhile.
         again = (
             self.begin_active(table, slot_of(bucket), bucket, bucket)
@@ -482,8 +482,8 @@ class Directory:
 
     def keep_slots(self, table: str, span: range, slots: Sequence[_Slot]) -> None:
         """Cache the listed nodes of some slots for the next read."""
-        kept = {s: n for s, n in self.seen.get(table, {}).items() if s not in span}
-        self.seen[table] = {**(kept if len(kept) < MANY_SLOTS else {}), **dict(slots)}
+        others = {s: n for s, n in self.seen.get(table, {}).items() if s not in span}
+        self.seen[table] = {**(others if len(others) < MANY_SLOTS else {}), **dict(slots)}
 
     def begin_slot(
         self, table: str, slot: int
@@ -525,12 +525,12 @@ class Directory:
         return rows
 
     def columns(
-        self, wanted: Iterable[SlotRange], *, single: bool = False
+        self, slot_ranges: Iterable[SlotRange], *, single: bool = False
     ) -> Iterator[BucketColumns]:
         """Read many buckets as columns, several partitions at once; see read_columns."""
         if not self._is_made():
             return iter(())
-        return read_columns(self._cassandra, self._bucket_table, wanted, single=single)
+        return read_columns(self._cassandra, self._bucket_table, slot_ranges, single=single)
 
     def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
         """Add a slot of a node, before its first bucket, for ``ttl`` seconds (0 = for ever)."""
@@ -542,8 +542,8 @@ class Directory:
         slot = (table.name, slot_of(bucket), node)
         # Rows found by name have no other entry in the directory, so this one never expires.
         ttl = 0 if table.named else table.metadata.ttl
-        noted, now = self._noted.get(slot), time.monotonic()
-        if noted is None or (ttl and now - noted > NOTE_SEC):
+        latest, now = self._noted.get(slot), time.monotonic()
+        if latest is None or (ttl and now - latest > NOTE_SEC):
             self.add_node(*slot, ttl and ttl + NOTE_MARGIN_SEC)
             self._noted[slot] = now
 
@@ -608,8 +608,8 @@ class Directory:
             (_ttl(ttl), *columns.values(), *key.values(), row.heartbeat),
             what=what,
         )
-        done = bool(answer[0][0])
-        if done and self._lists_by_time():
+        is_done = bool(answer[0][0])
+        if is_done and self._lists_by_time():
             entry = ActiveEntry(True, tuple(totals.columns().values()), row.filled).encoded()
             # Later than what was read, and earlier than each mark since, whose values then stay.
             self._cassandra.execute(
@@ -618,7 +618,7 @@ class Directory:
                 what=what,
                 retry_sec=self._tables.retry_sec,
             )
-        return done
+        return is_done
 
     def list_by_time(self, table: str, rows: Iterable[BucketRow], ttl: int, since_us: int) -> None:
         """Write rows that were read from cr_bucket into cr_active.
@@ -706,24 +706,24 @@ class BucketWalk:
         slots = self._slots()
         next(slots, None)  # sends the request; an empty range has no slots
         # The first slot is mostly the same as last time: its buckets are requested at once.
-        expected = self._guess_slot()
-        early = None if expected is None else self._ask(expected, self._inside(expected), limit)
-        begun = False
+        guess = self._guess_slot()
+        early = None if guess is None else self._ask(guess, self._inside(guess), limit)
+        has_begun = False
         for slot in slots:
             if slot is None:
                 continue
             low, high = self._inside(slot)
             # Only for the first slot: later ones need a larger window.
-            request = early if expected is not None and self._same(slot, expected) else None
-            request = None if begun else request
+            request = early if guess is not None and self._same(slot, guess) else None
+            request = None if has_begun else request
             while low <= high:
-                if begun and self._few:
+                if has_begun and self._few:
                     yield (high if self._reverse else low), []
                 request = self._ask(slot, (low, high), limit) if request is None else request
                 groups, end = self._window(request, low, high)
                 yield from ((group[0].bucket, group) for group in groups)
                 low, high = (low, end - 1) if self._reverse else (end + 1, high)
-                limit, request, begun = min(ALL_ROWS, WIDER * limit), None, True
+                limit, request, has_begun = min(ALL_ROWS, WIDER * limit), None, True
 
     def _same(self, slot: _Slot, other: _Slot) -> bool:
         """Return whether the buckets of two slots are requested in the same way."""
@@ -742,9 +742,9 @@ class BucketWalk:
             ask = self._directory.begin_nodes
             answer = ask(self._table, (first, last), limit, reverse=self._reverse)
             yield None
-            span, listed = range(first, last + 1), answer()
-            slots = [(s, tuple(n for _, n in g)) for s, g in groupby(listed, lambda row: row[0])]
-            if len(listed) < limit:
+            span, rows = range(first, last + 1), answer()
+            slots = [(s, tuple(n for _, n in g)) for s, g in groupby(rows, lambda row: row[0])]
+            if len(rows) < limit:
                 first, last = 1, 0
             else:
                 # Further nodes of this slot may follow, which cr_active lists, too.
@@ -753,7 +753,7 @@ class BucketWalk:
                 limit = min(ALL_ROWS, WIDER * limit)
             if self._few:
                 self._directory.keep_slots(self._table, span, slots)
-            yield from [kept for kept in map(self._restrict, slots) if kept is not None]
+            yield from [slot for slot in map(self._restrict, slots) if slot is not None]
 
     def _restrict(self, slot: _Slot) -> _Slot | None:
         """Leave out the nodes that are not to be read; return None if there are no others."""
@@ -826,8 +826,8 @@ def _bucket_row(node: str, row: CqlRow) -> BucketRow:
     latest = -1 if t_max is None else t_max
     counts = (n or 0, size or 0, largest or 0, t_min or 0, latest, odd or 0)
     now, marked_us = times
-    said = node, bucket, writer, closed, beat, *counts, _age(beat, now), frozenset(filled or ())
-    return BucketRow(*said, state == "open", bool(deleted), marked_us or 0)
+    head = node, bucket, writer, closed, beat, *counts, _age(beat, now), frozenset(filled or ())
+    return BucketRow(*head, state == "open", bool(deleted), marked_us or 0)
 
 
 def _active_row(row: CqlRow) -> BucketRow:
@@ -835,9 +835,9 @@ def _active_row(row: CqlRow) -> BucketRow:
     bucket, node, writer, entry, deleted, beat, now = row
     closed, counts, filled = ActiveEntry(False) if entry is None else decode_entry(entry)
     n, size, largest, t_min, t_max, odd = counts
-    said = node, bucket, writer, closed and not deleted, beat, n, size, largest, t_min, t_max, odd
+    head = node, bucket, writer, closed and not deleted, beat, n, size, largest, t_min, t_max, odd
     writing = entry is not None and not closed
-    return BucketRow(*said, _age(beat, now), frozenset(filled), writing, bool(deleted))
+    return BucketRow(*head, _age(beat, now), frozenset(filled), writing, bool(deleted))
 
 
 def _age(heartbeat: datetime | None, now: datetime) -> float:

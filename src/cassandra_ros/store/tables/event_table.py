@@ -119,10 +119,10 @@ class EventTable:
             names: Names of the events; more may be yielded for a beginning without end.
             within: Time range, ns.
         """
-        where, given = _condition(names)
+        where, values = _condition(names)
         slots = self._slots(names, within)
         for first in range(0, len(slots), _AT_ONCE):
-            params = [(slot, *given) for slot in slots[first : first + _AT_ONCE]]
+            params = [(slot, *values) for slot in slots[first : first + _AT_ONCE]]
             answers = self._tables.select_many(_EVENT, _NAMES, where, params, "reading events")
             for rows in answers:
                 events = (event for event in map(_event, rows) if _meets(event, within))

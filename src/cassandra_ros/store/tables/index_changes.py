@@ -68,24 +68,24 @@ class IndexChanges:
             files.await_builds(names, table_files.BUILD_SEC)
             files.drop(index)
         files.pause()
-        refused = None
+        conflict = None
         # After an error it is not known whether and when the nodes make and build the index.
         with files.told():
             lock.renew()
             try:
                 self._schema.create_sai_index(table, shadow)
             except SchemaConflict as exc:
-                refused = exc
+                conflict = exc
             files.resume()
-        if refused:
-            raise refused
+        if conflict:
+            raise conflict
 
     def drop(self, topic: str, field: str) -> bool:
         """Drop an index in all tables of a topic, and unlisted ones.
 
         Return whether there was any.
         """
-        done = False
+        has_dropped = False
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
                 # First resume merging: an index build that waits goes on without its index.
@@ -94,10 +94,10 @@ class IndexChanges:
                 if field in metadata.indexes:
                     metadata = metadata.without_index(field)
                     self._schema.set_comment(table, metadata, lock)
-                    done = True
-                kept = {table + shadow for shadow in metadata.indexes.values()}
-                for name in files.indexes() - kept:
+                    has_dropped = True
+                own_names = {table + shadow for shadow in metadata.indexes.values()}
+                for name in files.indexes() - own_names:
                     files.drop(name)
-                    done = True
+                    has_dropped = True
         self._schema.tables(fresh=True)
-        return done
+        return has_dropped

@@ -80,7 +80,7 @@ class PlaceIndex:
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
-    def put(self, visits: Sequence[VisitRow], done: Iterable[IndexedPoses], ttl: int = 0) -> None:
+    def put(self, visits: Sequence[VisitRow], poses: Iterable[IndexedPoses], ttl: int = 0) -> None:
         """Write visits, and then the poses whose visits are complete.
 
         For ttl seconds, 0 = for ever.
@@ -89,12 +89,12 @@ class PlaceIndex:
         rows = [(*square, *rest) for square, *rest in visits]
         longer = ttl + _LONGER_SEC if ttl else 0
         self._tables.insert_many("cr_place", _VISIT, rows, "noting where robots were", ttl=longer)
-        placed = [
+        pose_rows = [
             (d.table, d.node, d.writer, d.robot, d.low, d.high, set(d.frames), dict(d.above))
-            for d in done
+            for d in poses
         ]
         what = "noting how far the index of places goes"
-        self._tables.insert_many("cr_placed", _DONE, placed, what, ttl=ttl)
+        self._tables.insert_many("cr_placed", _DONE, pose_rows, what, ttl=ttl)
 
     def placed(self, tables: Sequence[str]) -> list[IndexedPoses]:
         """Return the rows of cr_placed of some tables."""

@@ -232,18 +232,18 @@ class Registry:
     def signs(self) -> dict[tuple[int, str], SignOfLife]:
         """Return the last sign of life of each run, by writer and node (two full scans)."""
         now, what = "toTimestamp(now())", "reading the state of the runs"
-        begun = self._tables.select("cr_run", f"writer, node, started, {now}", what=what)
+        starts = self._tables.select("cr_run", f"writer, node, started, {now}", what=what)
         names = f"writer, node, heartbeat, interrupted, {now}"
-        seen = self._tables.select("cr_context", names, what=what)
-        beats = {(writer, node): (beat, broken) for writer, node, beat, broken, _ in seen}
+        contexts = self._tables.select("cr_context", names, what=what)
+        beats = {(writer, node): (beat, broken) for writer, node, beat, broken, _ in contexts}
         signs: dict[tuple[int, str], SignOfLife] = {}
-        for writer, node, started, server_time in begun:
+        for writer, node, started, server_time in starts:
             beat, broken = beats.get((writer, node), (None, None))
             last = max(filter(None, (started, beat)), default=None)
             age_sec = math.inf if last is None else (server_time - last).total_seconds()
             # An import that is repeated has started again after its interruption.
-            failed = broken is not None and (started is None or broken >= started)
-            signs[writer, node] = SignOfLife(age_sec, failed)
+            is_interrupted = broken is not None and (started is None or broken >= started)
+            signs[writer, node] = SignOfLife(age_sec, is_interrupted)
         return signs
 
     def put_heartbeat(self, writer: int, node: str, *, interrupted: bool = False) -> None:

@@ -422,10 +422,10 @@ class RowTable:
         Args:
             sent: Result of ``begin`` for this statement; None = it has not been sent.
         """
-        begun = [sent] if sent is not None else []
+        requests = [sent] if sent is not None else []
 
         def run() -> _T:
-            future = (begun.pop() if begun else self.begin(statement)).future
+            future = (requests.pop() if requests else self.begin(statement)).future
             return make(answered(future, outage))
 
         outage = self._cassandra.outage

@@ -145,16 +145,16 @@ class _NewTable(NamedTuple):
 
     def statement(self, keyspace: str) -> SchemaChange:
         """Return the statement that makes the table, without its indexes."""
-        listed = ", ".join(f"{quote_name(c)} {cql}" for c, cql in self.columns.items())
-        wanted, merged = self.metadata, not self.shadows
+        columns = ", ".join(f"{quote_name(c)} {cql}" for c, cql in self.columns.items())
+        metadata, merged = self.metadata, not self.shadows
         # Without indexes the table can be listed and its files merged at once.
-        comment = wanted.to_comment() if merged else _UNFINISHED
+        comment = metadata.to_comment() if merged else _UNFINISHED
         return (
-            f"CREATE TABLE {qualified(keyspace, self.name)} ({listed}, "
-            f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
-            f"WITH comment = {quote_text(comment)} AND {_storage(wanted.ttl, merged=merged)} "
-            f"AND {_PACKED if wanted.packed else _ROWS}",
-            f"making the table of topic {wanted.topic}",
+            f"CREATE TABLE {qualified(keyspace, self.name)} ({columns}, "
+            f'PRIMARY KEY (("_node", "{metadata.partition}"), "_t", "_seq")) '
+            f"WITH comment = {quote_text(comment)} AND {_storage(metadata.ttl, merged=merged)} "
+            f"AND {_PACKED if metadata.packed else _ROWS}",
+            f"making the table of topic {metadata.topic}",
         )
 
 
@@ -297,8 +297,8 @@ class Schema:
         tables: list[_NewTable] = []
         for wish in wishes:
             mine = [table.metadata for table in tables if table.metadata.topic == wish.key[0]]
-            done = any(self._is_for(m, wish) for m in mine)
-            if not done and self._find(listing, wish) is None:
+            is_planned = any(self._is_for(m, wish) for m in mine)
+            if not is_planned and self._find(listing, wish) is None:
                 others = [listing.visible[name] for name in listing.by_topic.get(wish.key[0], ())]
                 tables.append(_new_table(*wish.plan([*others, *mine]), large=wish.large))
         self._make(tables, lock)
@@ -347,20 +347,21 @@ class Schema:
             [self._chunk_statement(table.name, table.metadata) for table in tables if table.large]
         )
 
-    def _finish(self, name: str, wanted: TopicMetadata, lock: SchemaLock) -> None:
+    def _finish(self, name: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
         """List a table by its comment and let its files be merged, after its indexes were built."""
         merged, files = True, self.files(name, lock)
         try:
-            files.await_builds({name + shadow for shadow in wanted.indexes.values()}, BUILD_SEC)
+            files.await_builds({name + shadow for shadow in metadata.indexes.values()}, BUILD_SEC)
         except CassandraRosError as exc:
             # Not a reason to lose the messages that wait for the table.
             merged = False
-            _log.warning("topic %s: %s", wanted.topic, exc)
+            _log.warning("topic %s: %s", metadata.topic, exc)
             files.tell()
+        comment = quote_text(metadata.to_comment())
         lock.change(
-            f"ALTER TABLE {self.qualified(name)} WITH comment = {quote_text(wanted.to_comment())} "
-            f"AND {_storage(wanted.ttl, merged=merged)}",
-            what=f"finishing the table of topic {wanted.topic}",
+            f"ALTER TABLE {self.qualified(name)} WITH comment = {comment} "
+            f"AND {_storage(metadata.ttl, merged=merged)}",
+            what=f"finishing the table of topic {metadata.topic}",
         )
 
     def files(self, table: str, lock: SchemaLock) -> TableFiles:
@@ -382,16 +383,16 @@ class Schema:
             name: (time_us, from_comment(comment or "", f"{self.keyspace}.{name}"))
             for name, comment, time_us in self._comments_of(names)
         }
-        made = {name: metadata for name, (_, metadata) in read.items()}
+        by_name = {name: metadata for name, (_, metadata) in read.items()}
         with self._mutex:
             self._known = {**self._known, **read}
             every = self._listing.every if self._listing else {}
-            self._listing = TableListing({**every, **self._note(made)})
+            self._listing = TableListing({**every, **self._note(by_name)})
             # The lock excludes changes by other clients, so all that were pushed are our own.
             self._mark = self._changes.mark
         columns = self._cassandra.system_schema_of("columns", _COLUMNS, self.keyspace, names)
         for table, table_columns in zip(tables, columns):
-            if dict(table_columns) != table.columns or made.get(table.name) != table.metadata:
+            if dict(table_columns) != table.columns or by_name.get(table.name) != table.metadata:
                 raise SchemaConflict(
                     f"table {self.keyspace}.{table.name} of topic {table.metadata.topic} is not "
                     "what was asked for (columns or comment differ): another client changed it at "
@@ -485,8 +486,8 @@ class Schema:
                     if name in read
                 }
                 for name, metadata in one_each.values():
-                    columns, kept = self.columns(name), metadata.indexes.values()
-                    for shadow in [c for c in columns if c.startswith(SHADOW) and c not in kept]:
+                    columns, shadows = self.columns(name), metadata.indexes.values()
+                    for shadow in [c for c in columns if c.startswith(SHADOW) and c not in shadows]:
                         del columns[shadow]
                     self._make([_new_table(metadata, columns)], lock)
             self.drop(tables, lock)
@@ -522,9 +523,9 @@ def _new_table(
     """
     if shadows is not None:
         columns = {**_own_columns(metadata), **columns, **shadows}
-    wanted = metadata.with_(generation=time.time_ns(), version=SCHEMA_VERSION)
-    name = table_name(wanted.topic, wanted.md5sum, wanted.format, wanted.generation)
-    return _NewTable(name, wanted, dict(columns), large)
+    final = metadata.with_(generation=time.time_ns(), version=SCHEMA_VERSION)
+    name = table_name(final.topic, final.md5sum, final.format, final.generation)
+    return _NewTable(name, final, dict(columns), large)
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:

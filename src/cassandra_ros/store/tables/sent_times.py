@@ -42,11 +42,11 @@ class SendTimeStore:
         """Return whether the keyspace has the table of send times."""
         return self._tables.has(_TABLE)
 
-    def put(self, writer: int, node: str, stripe: int, sent: SendTimes) -> None:
+    def put(self, writer: int, node: str, stripe: int, times: SendTimes) -> None:
         """Write the values of an import's messages from number ``stripe * STRIPE`` on."""
         self._tables.make(_TABLE)
         # Differences with like bytes side by side: consecutive numbers compress to nothing.
-        columns = np.array([sent.delays, np.diff(sent.sequences, prepend=0)], _NUMBER)
+        columns = np.array([times.delays, np.diff(times.sequences, prepend=0)], _NUMBER)
         raw = columns.view(np.uint8).reshape(-1, _NUMBER.itemsize).T.tobytes()
         row = {"writer": writer, "node": node, "stripe": stripe, "sent": zstandard.compress(raw)}
         self._tables.insert(_TABLE, row, "storing when messages were sent")

@@ -160,10 +160,10 @@ class SchemaLock:
         """Monotonic time before which the lock was taken or renewed last, s."""
 
     def __enter__(self) -> SchemaLock:
-        begun, is_logged = time.monotonic(), False
+        start, is_logged = time.monotonic(), False
         pause = 0.02
         while not self._take():
-            waited = time.monotonic() - begun
+            waited = time.monotonic() - start
             if waited > TELL_SEC and not is_logged:
                 is_logged = True
                 _log.warning("%s", self._wait_text())
@@ -381,14 +381,14 @@ class SideTables:
         """Make the keyspace with min(3, nodes) copies; warn if an existing one has fewer."""
         if self._keyspace_made:
             return
-        wanted = min(3, self._cassandra.live_nodes())
+        factor = min(3, self._cassandra.live_nodes())
         rows = self._cassandra.system_schema("keyspaces", "replication", self.keyspace)
         if rows:
-            _warn_of_factor(self.keyspace, rows[0][0], wanted)
+            _warn_of_factor(self.keyspace, rows[0][0], factor)
         else:
             self._cassandra.require_nodes(self.keyspace)
             datacenter = quote_text(self._cassandra.local_datacenter())
-            if wanted > 1:
+            if factor > 1:
                 _log.warning(
                     "making keyspace %s: %d nodes have to agree on it and on each of its tables, "
                     "which may take a minute or two",
@@ -397,7 +397,7 @@ class SideTables:
                 )
             self._cassandra.schema_change(
                 f"CREATE KEYSPACE IF NOT EXISTS {quote_name(self.keyspace)} WITH replication = "
-                f"{{'class': 'NetworkTopologyStrategy', {datacenter}: {wanted}}}",
+                f"{{'class': 'NetworkTopologyStrategy', {datacenter}: {factor}}}",
                 what=f"making keyspace {self.keyspace}",
             )
         self._keyspace_made = True
@@ -416,26 +416,26 @@ class SideTables:
             if self._made and self._there.issuperset(later):
                 return
             self.make_keyspace()
-            wanted = {**SIDE_TABLES, **{name: LATER_TABLES[name] for name in later}}
+            tables = {**SIDE_TABLES, **{name: LATER_TABLES[name] for name in later}}
             there = self._list()
             if _LOCK not in there:
                 self._keyspace_made = False  # another client may have dropped it since
                 self.make_keyspace()
                 self._make_lock_table()
-            if not there.issuperset(wanted):
+            if not there.issuperset(tables):
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
                     there = self._names()
                     lock.change_all(
                         [
                             (
                                 f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
-                                f"({wanted[name]}) WITH comment = {quote_text(_COMMENT)}",
+                                f"({tables[name]}) WITH comment = {quote_text(_COMMENT)}",
                                 f"making table {name}",
                             )
-                            for name in sorted(set(wanted) - there)
+                            for name in sorted(set(tables) - there)
                         ]
                     )
-                self._there = there | set(wanted)
+                self._there = there | set(tables)
             else:
                 self._there = there
             self._made = True
@@ -466,13 +466,13 @@ class SideTables:
         return frozenset(name for (name,) in rows)
 
 
-def _warn_of_factor(keyspace: str, replication: Mapping[str, str], wanted: int) -> None:
+def _warn_of_factor(keyspace: str, replication: Mapping[str, str], factor: int) -> None:
     factors = [int(v) for k, v in replication.items() if k != "class" and str(v).isdigit()]
-    if factors and min(factors) < wanted:
+    if factors and min(factors) < factor:
         _log.warning(
             "keyspace %s keeps %d copies of each row where this cluster could keep %d; "
             "a lost node loses data: ALTER KEYSPACE … WITH replication, then repair",
             keyspace,
             min(factors),
-            wanted,
+            factor,
         )

@@ -149,7 +149,7 @@ class TableFiles:
             time.sleep(PAUSE_SEC)
 
     def _has_begun_on_each(self, names: AbstractSet[str]) -> bool:
-        listed = self._cassandra.execute_on_each(
+        answers = self._cassandra.execute_on_each(
             "SELECT table_name, index_name, is_building FROM system_views.sai_column_indexes "
             "WHERE keyspace_name = ?",
             (self._keyspace,),
@@ -162,18 +162,18 @@ class TableFiles:
                 {name: unbuilt for owner, name, unbuilt in rows if owner == self._table},
                 any(kind == _BUILD for kind, _ in at_work.get(node, ())),
             )
-            for node, rows in listed.items()
+            for node, rows in answers.items()
         )
 
 
-def begun(names: AbstractSet[str], listed: Mapping[str, bool], at_work: bool) -> bool:
+def begun(names: AbstractSet[str], builds: Mapping[str, bool], at_work: bool) -> bool:
     """Return whether a node has begun to build every index that the schema has for a table.
 
     Args:
         names: Names of the table's indexes in the schema.
-        listed: Indexes that the node lists, name → whether its build waits or runs.
+        builds: Indexes that the node lists, name → whether its build waits or runs.
         at_work: Whether the node is building an index of the table.
     """
-    unbuilt = sum(listed.values())
+    unbuilt = sum(builds.values())
     # With two unbuilt indexes it is not known which of them the node is building.
-    return names <= listed.keys() and (not unbuilt or (unbuilt == 1 and at_work))
+    return names <= builds.keys() and (not unbuilt or (unbuilt == 1 and at_work))

@@ -107,10 +107,10 @@ class EnvelopeRequest:
     @property
     def selected(self) -> Select:
         """The statement that selects KEY and the columns, which are named by their numbers."""
-        chosen = [Selected(column.what, str(n)) for n, column in enumerate(self.columns)]
+        columns = [Selected(column.what, str(n)) for n, column in enumerate(self.columns)]
         key = Selected(KeyOperand(0))
         plain = replace(self.select, order=(), hidden=(), limit=None, descending=False)
-        return replace(plain, columns=(key, *chosen))
+        return replace(plain, columns=(key, *columns))
 
 
 class PieceReader:
@@ -122,11 +122,11 @@ class PieceReader:
         watch: See Watch.
     """
 
-    def __init__(self, keyspace: Keyspace, wanted: EnvelopeRequest, watch: Watch) -> None:
+    def __init__(self, keyspace: Keyspace, request: EnvelopeRequest, watch: Watch) -> None:
         self._rows = keyspace.rows
-        self._wanted, self._watch = wanted, watch
-        self._select = wanted.selected
-        self._count = len(wanted.columns)
+        self._wanted, self._watch = request, watch
+        self._select = request.selected
+        self._count = len(request.columns)
         self._zoned: dict[str, _ZoneColumns | None] = {}
 
     def ask(self, piece: EnvelopePart) -> ZoneRead:
@@ -230,9 +230,9 @@ class PieceReader:
     def _add_messages(self, piece: EnvelopePart, envelope: Envelope) -> None:
         """Read the messages of a piece, and make arrays of a limited number at a time."""
         values, count = self._values(piece.table), 0
-        for taken in self._take_messages(piece, values):
+        for number in self._take_messages(piece, values):
             self._watch()
-            count += taken
+            count += number
             if count >= MOST_MESSAGES:
                 _drain(values, envelope)
                 count = 0

@@ -67,6 +67,6 @@ def _bucket_facts(directory: Directory, table: TopicTable, read: Read) -> Iterat
         else:
             moving.add((row.node, row.bucket))
     for node, bucket in sorted(moving):
-        counted = recount(table, node, bucket)
-        by_writer = sorted((writer, vars(counts)) for writer, counts in counted.items())
+        recounts = recount(table, node, bucket)
+        by_writer = sorted((writer, vars(counts)) for writer, counts in recounts.items())
         yield repr((node, bucket, by_writer))

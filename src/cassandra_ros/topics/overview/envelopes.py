@@ -108,16 +108,16 @@ class EnvelopeReader:
         self,
         keyspace: Keyspace,
         tables: Sequence[TopicTable],
-        wanted: EnvelopeRequest,
+        request: EnvelopeRequest,
         cache: EnvelopeCache | None,
         watch: Watch,
     ) -> None:
         self._keyspace, self._tables = keyspace, tables
-        self._bounds = wanted.bounds
-        self._columns = len(wanted.columns)
+        self._bounds = request.bounds
+        self._columns = len(request.columns)
         self._cache, self._watch = cache, watch
-        self._pieces = PieceReader(keyspace, wanted, watch)
-        self._asked = wanted.key
+        self._pieces = PieceReader(keyspace, request, watch)
+        self._asked = request.key
 
     def read(self, grid: Grid, seconds: float | None = None) -> Envelopes:
         """Read the envelope of the messages in a grid.
@@ -128,24 +128,24 @@ class EnvelopeReader:
                 everything.
         """
         ends = None if seconds is None else time.monotonic() + seconds
-        listed = list(self._list(grid))
-        listed = [listed[n] for n in spread(len(listed))]
-        envelopes = {n: e for n, entry in enumerate(listed) if (e := self._get_cached(entry, grid))}
-        rest = [n for n in range(len(listed)) if n not in envelopes]
-        cached = [n for n in rest if self._keeps(listed[n])]
+        entries = list(self._list(grid))
+        entries = [entries[n] for n in spread(len(entries))]
+        envelopes = {n: e for n, p in enumerate(entries) if (e := self._get_cached(p, grid))}
+        rest = [n for n in range(len(entries)) if n not in envelopes]
+        cached = [n for n in rest if self._keeps(entries[n])]
         fresh = False
-        for n, envelope in self._new(listed, cached, grid):
+        for n, envelope in self._new(entries, cached, grid):
             envelopes[n], fresh = envelope, True
             if _is_over(ends):
                 break
         for n in list(envelopes):
             while envelopes[n].edges and not (fresh and _is_over(ends)):
-                envelopes[n], fresh = self._refine(listed[n], grid, envelopes[n]), True
-        done = len(envelopes) == len(listed) - len(rest) + len(cached)
-        if done and not (fresh and _is_over(ends) and any(p.edges for p in envelopes.values())):
+                envelopes[n], fresh = self._refine(entries[n], grid, envelopes[n]), True
+        is_done = len(envelopes) == len(entries) - len(rest) + len(cached)
+        if is_done and not (fresh and _is_over(ends) and any(p.edges for p in envelopes.values())):
             # These pieces are not cached: a read that began with them would never get further.
-            envelopes.update(self._at_once(listed, [n for n in rest if n not in envelopes], grid))
-        return self._join(grid, listed, envelopes)
+            envelopes.update(self._at_once(entries, [n for n in rest if n not in envelopes], grid))
+        return self._join(grid, entries, envelopes)
 
     def _list(self, grid: Grid) -> Iterator[_Listed]:
         bounds = self._bounds
@@ -186,62 +186,62 @@ class EnvelopeReader:
             begins, ends = max(low, first_ns), min(high - 1, last_ns)
             if begins <= ends and any(_reaches(row, begins, ends) for row in writers):
                 # One that is cut by the condition is not kept: the cut may move with now().
-                kept = state if (begins, ends) == (low, high - 1) else None
-                yield _Listed(EnvelopePart(table, node, bucket, begins, ends), share, kept)
+                entry_state = state if (begins, ends) == (low, high - 1) else None
+                yield _Listed(EnvelopePart(table, node, bucket, begins, ends), share, entry_state)
 
-    def _key(self, listed: _Listed, grid: Grid) -> object:
-        piece = listed.piece
-        where = self._keyspace.name, piece.table.name, *piece[1:], listed.state
+    def _key(self, entry: _Listed, grid: Grid) -> object:
+        piece = entry.piece
+        where = self._keyspace.name, piece.table.name, *piece[1:], entry.state
         return self._asked, grid.shift, where
 
-    def _keeps(self, listed: _Listed) -> bool:
+    def _keeps(self, entry: _Listed) -> bool:
         """Return whether the envelope of a piece is cached for the next time."""
-        return self._cache is not None and listed.state is not None
+        return self._cache is not None and entry.state is not None
 
-    def _get_cached(self, listed: _Listed, grid: Grid) -> PartEnvelope | None:
-        if self._cache is None or not self._keeps(listed):
+    def _get_cached(self, entry: _Listed, grid: Grid) -> PartEnvelope | None:
+        if self._cache is None or not self._keeps(entry):
             return None
-        return self._cache.get(self._key(listed, grid))
+        return self._cache.get(self._key(entry, grid))
 
-    def _keep(self, listed: _Listed, grid: Grid, envelope: PartEnvelope) -> None:
-        if self._cache is not None and self._keeps(listed):
-            self._cache.put(self._key(listed, grid), envelope)
+    def _keep(self, entry: _Listed, grid: Grid, envelope: PartEnvelope) -> None:
+        if self._cache is not None and self._keeps(entry):
+            self._cache.put(self._key(entry, grid), envelope)
 
     def _new(
-        self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
+        self, entries: Sequence[_Listed], places: Sequence[int], grid: Grid
     ) -> Iterator[tuple[int, PartEnvelope]]:
         """Read pieces that are not in the cache; the zones of some are requested ahead."""
         coming: deque[tuple[int, ZoneRead]] = deque()
         rest = iter(places)
         while True:
             for n in rest:
-                coming.append((n, self._pieces.ask(listed[n].piece)))
+                coming.append((n, self._pieces.ask(entries[n].piece)))
                 if len(coming) >= AHEAD:
                     break
             if not coming:
                 return
             n, zones = coming.popleft()
             self._watch()
-            envelope = self._pieces.read(listed[n].piece, grid.shift, zones)
-            self._keep(listed[n], grid, envelope)
+            envelope = self._pieces.read(entries[n].piece, grid.shift, zones)
+            self._keep(entries[n], grid, envelope)
             yield n, envelope
 
-    def _refine(self, listed: _Listed, grid: Grid, earlier: PartEnvelope) -> PartEnvelope:
-        envelope = self._pieces.refined(listed.piece, earlier)
-        self._keep(listed, grid, envelope)
+    def _refine(self, entry: _Listed, grid: Grid, earlier: PartEnvelope) -> PartEnvelope:
+        envelope = self._pieces.refined(entry.piece, earlier)
+        self._keep(entry, grid, envelope)
         return envelope
 
     def _at_once(
-        self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
+        self, entries: Sequence[_Listed], places: Sequence[int], grid: Grid
     ) -> Iterator[tuple[int, PartEnvelope]]:
         """Read pieces in full, without a time limit."""
-        for n, envelope in self._new(listed, places, grid):
+        for n, envelope in self._new(entries, places, grid):
             while envelope.edges:
-                envelope = self._refine(listed[n], grid, envelope)
+                envelope = self._refine(entries[n], grid, envelope)
             yield n, envelope
 
     def _join(
-        self, grid: Grid, listed: Sequence[_Listed], envelopes: dict[int, PartEnvelope]
+        self, grid: Grid, entries: Sequence[_Listed], envelopes: dict[int, PartEnvelope]
     ) -> Envelopes:
         envelope, read, edges = Envelope(grid, self._columns), 0.0, 0
         for n, part_envelope in envelopes.items():
@@ -249,9 +249,9 @@ class EnvelopeReader:
             if part_envelope.edges:
                 envelope.merge(part_envelope.around)
                 edges += len(part_envelope.edges)
-            read += listed[n].rows + 1
-        count = sum(entry.rows + 1 for entry in listed)
-        share = 1.0 if len(envelopes) == len(listed) else min(read / count, 0.999)
+            read += entries[n].rows + 1
+        count = sum(entry.rows + 1 for entry in entries)
+        share = 1.0 if len(envelopes) == len(entries) else min(read / count, 0.999)
         return Envelopes(envelope, share, edges)
 
 

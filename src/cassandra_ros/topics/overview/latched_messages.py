@@ -129,7 +129,7 @@ def latched_before(
 
 def tests_of(catalog: Catalog, where: Conditions, whose: Whose) -> Tests:
     """Return for each topic with a condition the test whether a row satisfies the condition."""
-    return {name: kept.test for name, kept in catalog.filters(where, None, whose).items()}
+    return {name: f.test for name, f in catalog.filters(where, None, whose).items()}
 
 
 class LatchedFinder:
@@ -201,9 +201,9 @@ class LatchedFinder:
                 continue  # their rows are not ordered by receive time
             length = metadata.bucket_ns
             ends, directory = (t // length, to // length), self._keyspace.directory
-            listed = directory.buckets(name, metadata, *ends, self._whose.nodes)
+            entries = directory.buckets(name, metadata, *ends, self._whose.nodes)
             writers = self._whose.writers
-            rows = [row for row in listed if writers is None or row.writer in writers]
+            rows = [row for row in entries if writers is None or row.writer in writers]
             for row in self._count_open(name, metadata, rows):
                 if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t):
                     runs.add((row.node, row.writer))
@@ -217,9 +217,9 @@ class LatchedFinder:
         if not stale_rows:
             return list(rows)
         table = self._keyspace.tables.get(name, metadata)
-        counted = settle(self._keyspace.directory, table, stale_rows)
+        recounts = settle(self._keyspace.directory, table, stale_rows)
         others = [row for row in rows if row.closed or row.age_sec <= STALE_SEC]
-        return [*others, *(row._replace(closed=True) for row in counted)]
+        return [*others, *(row._replace(closed=True) for row in recounts)]
 
     def _last(
         self, table: TopicTable, t: int, since: int, sources: frozenset[Source]

@@ -133,21 +133,21 @@ def read_series(
     tables = topic.tables
     plain = analyse_select(select, tables)
     bounds = bounds_of(plain, Read(whose=asker.whose), tables)
-    settled = with_stays(plain, tables, bounds.read)
-    drawn = drawn_columns(settled, tables)
+    plan = with_stays(plain, tables, bounds.read)
+    plot = drawn_columns(plan, tables)
     if any(table.named for table in tables):
-        return _nothing(topic, _without(drawn, _NO_TIME))
-    if settled.gathers or settled.limit is not None:
-        return _of_rows(topic, select, drawn, window, asker)
+        return _nothing(topic, _without(plot, _NO_TIME))
+    if plan.gathers or plan.limit is not None:
+        return _of_rows(topic, select, plot, window, asker)
     if asker.cache is None:
         bounds = bounds.within(window.low, window.high)
-    ends = _extent(topic, bounds, window) if drawn.columns else None
+    ends = _extent(topic, bounds, window) if plot.columns else None
     if ends is None:
-        return _nothing(topic, drawn)
+        return _nothing(topic, plot)
     grid = Grid.between(*ends, window.pixels)
-    key = _key(plain, bounds, drawn, near=settled is not plain)
-    bounds = replace(bounds, spans=spans_of(settled.condition))
-    request = EnvelopeRequest(settled, bounds, drawn.columns, key)
+    key = _key(plain, bounds, plot, near=plan is not plain)
+    bounds = replace(bounds, spans=spans_of(plan.condition))
+    request = EnvelopeRequest(plan, bounds, plot.columns, key)
 
     def read(now: Sequence[TopicTable]) -> Envelopes:
         reader = EnvelopeReader(keyspace, now, request, asker.cache, asker.watch)
@@ -155,10 +155,10 @@ def read_series(
 
     envelopes = followed(tables, read)
     points = envelopes.envelope.points()
-    return Series(topic.name, *drawn, grid, points, envelopes.share, envelopes.edges)
+    return Series(topic.name, *plot, grid, points, envelopes.share, envelopes.edges)
 
 
-def _key(select: Select, bounds: Bounds, drawn: PlotColumns, near: bool) -> str:
+def _key(select: Select, bounds: Bounds, plot: PlotColumns, near: bool) -> str:
     """Return a text that identifies a request among all requests for the same messages."""
     # The trees, because the values of bound parameters are not in the text.
     condition: object = select.condition
@@ -167,20 +167,20 @@ def _key(select: Select, bounds: Bounds, drawn: PlotColumns, near: bool) -> str:
         parts = () if bounds.whole else conjuncts(select.condition)
         condition = [conjunct for conjunct in parts if not bounds_time(conjunct)]
         bounds = replace(bounds, read=replace(bounds.read, time_range=ALWAYS))
-    key = repr(([column.what for column in drawn.columns], condition, bounds))
+    key = repr(([column.what for column in plot.columns], condition, bounds))
     # Poses may be stored later than the messages recorded there.
     return f"{key} {time.time() // NEAR_KEPT_SEC}" if near else key
 
 
-def _nothing(topic: Source[Row], drawn: PlotColumns) -> Series:
+def _nothing(topic: Source[Row], plot: PlotColumns) -> Series:
     grid = Grid(0, 0, 1)
-    return Series(topic.name, *drawn, grid, Envelope(grid, len(drawn.columns)).points())
+    return Series(topic.name, *plot, grid, Envelope(grid, len(plot.columns)).points())
 
 
-def _without(drawn: PlotColumns, reason: str) -> PlotColumns:
+def _without(plot: PlotColumns, reason: str) -> PlotColumns:
     """Move every column to those left out, with one reason."""
-    left_out = (OmittedColumn(column.name, reason) for column in drawn.columns)
-    return PlotColumns((), (*left_out, *drawn.left_out))
+    left_out = (OmittedColumn(column.name, reason) for column in plot.columns)
+    return PlotColumns((), (*left_out, *plot.left_out))
 
 
 def _extent(topic: CassandraTopic, bounds: Bounds, window: PlotWindow) -> tuple[int, int] | None:
@@ -211,14 +211,14 @@ def read_rows_series(
         InvalidQuery: As read_series; or there are more than MOST_ROWS rows.
     """
     tables = topic.tables
-    drawn = drawn_columns(analyse_select(select, tables), tables)
+    plot = drawn_columns(analyse_select(select, tables), tables)
     if any(table.named for table in tables):
-        return _nothing(topic, _without(drawn, _NO_TIME))
-    return _of_rows(topic, select, drawn, window, asker)
+        return _nothing(topic, _without(plot, _NO_TIME))
+    return _of_rows(topic, select, plot, window, asker)
 
 
 def _of_rows(
-    topic: Source[Row], select: Select, drawn: PlotColumns, window: PlotWindow, asker: SeriesRequest
+    topic: Source[Row], select: Select, plot: PlotColumns, window: PlotWindow, asker: SeriesRequest
 ) -> Series:
     """Draw the rows of a result, which are all made."""
     if select.columns is not None and not (select.aggregates or select.group or select.distinct):
@@ -227,21 +227,21 @@ def _of_rows(
     over = next((n for n, (_, k) in enumerate(kinds) if k.kind == "time" and not k.depth), None)
     if over is None:
         reason = "in rows without a time to draw it over: group by time(1m), and select that, too"
-        return _nothing(topic, _without(drawn, reason))
+        return _nothing(topic, _without(plot, reason))
     name = kinds[over][0]
-    drawn = drawn._replace(left_out=tuple(u for u in drawn.left_out if u.name != name))
-    places = [[name for name, _ in kinds].index(column.name) for column in drawn.columns]
+    plot = plot._replace(left_out=tuple(u for u in plot.left_out if u.name != name))
+    places = [[name for name, _ in kinds].index(column.name) for column in plot.columns]
     query = QueryResult(select, topic, asker.whose, watch=asker.watch)
     with query as result:
         times, numbers = _arrays(select, result, over, places)
     low = times.min(initial=2**63 - 1) if window.low is None else window.low
     high = times.max(initial=-1) if window.high is None else window.high
     if low > high:
-        return _nothing(topic, drawn)
+        return _nothing(topic, plot)
     grid = Grid.between(int(low), int(high), window.pixels)
     envelope = Envelope(grid, len(places))
     envelope.add(times, numbers)
-    return Series(topic.name, *drawn, grid, envelope.points())
+    return Series(topic.name, *plot, grid, envelope.points())
 
 
 def _arrays(

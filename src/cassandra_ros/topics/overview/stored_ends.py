@@ -38,12 +38,12 @@ def wrong_unit(text: str, ns: int, ends: Ends) -> str:
         text: The time as it was typed.
         ns: The time that it means.
     """
-    meant = other_unit(text, ends[0]) if text.strip() == str(ns) else ""
-    if not meant:
+    unit_text = other_unit(text, ends[0]) if text.strip() == str(ns) else ""
+    if not unit_text:
         return ""
     return (
         f"means nanoseconds since 1970, {iso_time(ns)}, long before the first stored message, "
-        f"{iso_time(ends[0])}; {meant}"
+        f"{iso_time(ends[0])}; {unit_text}"
     )
 
 

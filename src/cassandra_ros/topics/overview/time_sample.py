@@ -64,7 +64,7 @@ class MessageChoice:
 
 
 def spaced_rows(
-    catalog: Catalog, name: str, chosen: MessageChoice, count: int, every_ns: int = 0
+    catalog: Catalog, name: str, choice: MessageChoice, count: int, every_ns: int = 0
 ) -> Iterator[StoredRow]:
     """Choose messages of a topic that are evenly spaced between its first and last message.
 
@@ -75,7 +75,7 @@ def spaced_rows(
 
     Args:
         name: Name of the topic.
-        chosen: Messages to choose from.
+        choice: Messages to choose from.
         count: Maximum number of messages, at least 1.
         every_ns: Distance between two times, from the first message on, ns; 0 = such that ``count``
             times reach to the last message.
@@ -88,7 +88,7 @@ def spaced_rows(
         TopicNotFound, InvalidQuery: As readMessages.
     """
     topic = catalog.get(name)
-    few = [(row.t, row.key) for row in islice(chosen.rows(catalog, topic), count + 1)]
+    few = [(row.t, row.key) for row in islice(choice.rows(catalog, topic), count + 1)]
     if not few:
         raise MessageNotFound(
             f"topic {topic.name} has no such message: none of that time, event, robot, run or "
@@ -98,19 +98,19 @@ def spaced_rows(
         rows = (topic.getRow(key) for _, key in few)
         yield from (row for row in rows if row is not None)  # None if it was deleted meanwhile
         return
-    if chosen.event is not None:
-        during = chosen.rows(catalog, topic)
+    if choice.event is not None:
+        during = choice.rows(catalog, topic)
         if every_ns:
             yield from islice(_apart(during, every_ns), count)
         else:
-            total = sum(1 for _ in chosen.rows(catalog, topic))
+            total = sum(1 for _ in choice.rows(catalog, topic))
             yield from _share(during, total, count)
         return
-    times = _times(few[0][0], chosen.last(topic), count, every_ns)
-    if chosen.where is None and not isinstance(few[0][1], RowName):
-        yield from _once(_look_up(topic, chosen, times))
+    times = _times(few[0][0], choice.last(topic), count, every_ns)
+    if choice.where is None and not isinstance(few[0][1], RowName):
+        yield from _once(_look_up(topic, choice, times))
     else:
-        yield from _once(nearest_rows(chosen.rows(catalog, topic), times))
+        yield from _once(nearest_rows(choice.rows(catalog, topic), times))
 
 
 def _apart(rows: Iterable[StoredRow], every_ns: int) -> Iterator[StoredRow]:
@@ -140,11 +140,11 @@ def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:
 
 
 def _look_up(
-    topic: CassandraTopic, chosen: MessageChoice, times: Sequence[int]
+    topic: CassandraTopic, choice: MessageChoice, times: Sequence[int]
 ) -> Iterator[StoredRow]:
     for t in times:
         row = topic.getRow(
-            Stamp.from_ns(t), nearest="either", nodeID=chosen.node, run=chosen.writers
+            Stamp.from_ns(t), nearest="either", nodeID=choice.node, run=choice.writers
         )
         if row is not None:
             yield row

@@ -193,13 +193,13 @@ class _Retention:
         else:
             return 0
         newer = [(table, row) for table, row in rows_of_tables if row.t_max >= whole]
-        taken = sum(row.bytes for _, row in newer if row.t_min >= whole)
+        nbytes = sum(row.bytes for _, row in newer if row.t_min >= whole)
         for table, row in newer:
             if row.t_min < whole:
                 whose = Whose((row.node,), frozenset([row.writer]))
                 rows = self._bare([table], Read(TimeRange(whole, row.t_max), whose))
-                taken += sum(row.size for row in rows)
-        return self._further(tables, whole, most - taken)
+                nbytes += sum(row.size for row in rows)
+        return self._further(tables, whole, most - nbytes)
 
     def _further(self, tables: Sequence[TopicTable], begin: int, room: int) -> int:
         """Go back from a time message by message, while they fit into ``room`` bytes."""

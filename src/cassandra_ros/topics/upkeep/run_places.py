@@ -57,10 +57,10 @@ def index_places(
             states.append(state)
             continue
         whose = RobotRun(stored_run.node, stored_run.writer)
-        made = RunIndex(stored, catalog.keyspace.place_index, whose, ttl).make(progress)
-        if made is not None:
-            state = state._replace(state="indexed", first_ns=made.poses_from)
-            state = state._replace(last_ns=made.poses_to, visits=made.visits)
+        result = RunIndex(stored, catalog.keyspace.place_index, whose, ttl).make(progress)
+        if result is not None:
+            state = state._replace(state="indexed", first_ns=result.poses_from)
+            state = state._replace(last_ns=result.poses_to, visits=result.visits)
         states.append(state)
     return states
 
@@ -99,7 +99,7 @@ class _IndexComparison:
 
     def at(self, run: Run) -> PlacesOfRun:
         places = PlacesOfRun(run.name or str(run.writer), run.node, run.writer, "no poses")
-        noted = self._noted.get((run.node, run.writer), [])
+        records = self._noted.get((run.node, run.writer), [])
         extents = [
             extent
             for topic in self._topics
@@ -110,23 +110,23 @@ class _IndexComparison:
             return places
         if run.state == "recording" or (run.kind == "import" and run.state != "ended"):
             return places._replace(state="goes on")
-        tables = {record.table for record in noted}
-        covered = all(
+        tables = {record.table for record in records}
+        is_covered = all(
             extent.table in tables
             and any(
                 n.low <= extent.low and extent.high <= n.high
-                for n in noted
+                for n in records
                 if n.table == extent.table
             )
             for extent in extents
         )
-        if not covered:
+        if not is_covered:
             return places._replace(state="not indexed")
         fixed = self._fixed(run.node)
-        frames = [n.above for n in noted if n.robot != n.table]
+        frames = [n.above for n in records if n.robot != n.table]
         if any(fixed.get(name, "") != how for above in frames for name, how in above.items()):
             return places._replace(state="not indexed")
-        first, last = min(n.low for n in noted), max(n.high for n in noted)
+        first, last = min(n.low for n in records), max(n.high for n in records)
         return places._replace(state="indexed", first_ns=first, last_ns=last)
 
     def _fixed(self, node: str) -> Mapping[str, str]:

@@ -184,14 +184,14 @@ class _Check:
 
     def _buckets(self, table: TopicTable) -> None:
         low, high = (table.bucket_of(t) for t in self._time_range)
-        listed = self._space.directory.buckets_by_robot(table.name, low, high)  # see _by_time
+        entries = self._space.directory.buckets_by_robot(table.name, low, high)  # see _by_time
         groups: dict[tuple[str, int], list[BucketRow]] = {}
-        for row in listed:
+        for row in entries:
             groups.setdefault((row.node, row.bucket), []).append(row)
         for node, where in partitions(table):
             if low <= int(where) <= high:
                 groups.setdefault((node, int(where)), [])
-        total = sum(row.rows for row in listed)
+        total = sum(row.rows for row in entries)
         for (node, bucket), rows in sorted(groups.items()):
             self.report.count_bucket()
             self._read(table, node, bucket, rows, total)
@@ -258,15 +258,15 @@ class _Check:
         self._bounds(table, node, row, bounds, table.format.zones(wires))
 
     def _bounds(
-        self, table: TopicTable, node: str, row: BlockRow, said: RawRow, measured: Zones
+        self, table: TopicTable, node: str, row: BlockRow, row_values: RawRow, measured: Zones
     ) -> None:
         """Report zones that differ from the messages, because conditions skip blocks by them."""
         values, nan, odd = measured
-        expected = (encode_texts(nan) if nan else None, *values)
-        if row.odd or (said == expected and not odd):
+        block_values = (encode_texts(nan) if nan else None, *values)
+        if row.odd or (row_values == block_values and not odd):
             return  # conditions do not skip an odd block
         names = ("_nan", *table.zone_columns)
-        wrong = [name for name, *pair in zip(names, said, expected) if pair[0] != pair[1]]
+        wrong = [name for name, *pair in zip(names, row_values, block_values) if pair[0] != pair[1]]
         self._note(
             DamageKind.BOUNDS,
             table,
@@ -291,7 +291,7 @@ class _Check:
         directory = self._space.directory
         before = directory.find(table.name, node, bucket)
         try:
-            counted = recount(table, node, bucket)
+            recounts = recount(table, node, bucket)
         except CorruptMessage:
             return  # reported when the bucket was read
         if [_sign(row) for row in directory.find(table.name, node, bucket)] != [
@@ -299,9 +299,9 @@ class _Check:
         ]:
             self.report.count_writing()
             return
-        listed = {row.writer: row for row in before}
-        for writer in sorted({*counted, *listed}):
-            totals, row = counted.get(writer, BucketTotals()), listed.get(writer)
+        by_writer = {row.writer: row for row in before}
+        for writer in sorted({*recounts, *by_writer}):
+            totals, row = recounts.get(writer, BucketTotals()), by_writer.get(writer)
             if row is None:
                 self._list(table, (table.name, node, bucket, writer), totals)
             elif not row.closed:
@@ -316,8 +316,8 @@ class _Check:
         for node, bucket in places:
             buckets_of_slots.setdefault((slot_of(bucket), node), []).append(bucket)
         slots = [slot for slot, _ in buckets_of_slots]
-        listed = directory.nodes(table.name, min(slots), max(slots)) if slots else []
-        for slot, node in sorted(set(buckets_of_slots).difference(listed)):
+        slots_of_nodes = directory.nodes(table.name, min(slots), max(slots)) if slots else []
+        for slot, node in sorted(set(buckets_of_slots).difference(slots_of_nodes)):
             buckets = buckets_of_slots[slot, node]
             if self._repair:
                 directory.add_node(table.name, slot, node)
@@ -360,14 +360,14 @@ class _Check:
             directory.list_by_time(table.name, [row], table.metadata.ttl, since_us)
             entries = directory.find_active(table.name, row.node, row.bucket)
             mended = not _differs(row, next((r for r in entries if r.writer == row.writer), None))
-        said = "has other counts" if listed else "is missing"
+        fault = "has other counts" if listed else "is missing"
         self._note(
             DamageKind.COUNT if listed else DamageKind.UNLISTED,
             table,
             row.node,
             (row.t_min, row.t_max) if row.rows else None,
             row.rows,
-            f"the entry of {row.rows} messages of writer {row.writer} {said} in the directory by "
+            f"the entry of {row.rows} messages of writer {row.writer} {fault} in the directory by "
             "time, so reads of all robots may miss them; --repair puts the directory right",
             mended=mended,
         )
@@ -425,11 +425,11 @@ class _Check:
     def _names(self, table: TopicTable) -> None:
         """Read the messages of a topic whose messages have names."""
         keys = [k for k in list_names(table, None) if _within(k.position.t, self._time_range)]
-        listed = {node for _, node in self._space.directory.nodes(table.name, 0, 0)}
+        nodes = {node for _, node in self._space.directory.nodes(table.name, 0, 0)}
         missing: Counts[str] = Counter()
         for key in sorted(keys, key=lambda key: key.position):
             t, node = key.position.t, key.position.node
-            missing[node] += node not in listed
+            missing[node] += node not in nodes
             try:
                 row = fetch_row(table, key.position)
                 if row is not None:
@@ -554,9 +554,9 @@ def _sign(row: BucketRow) -> tuple[int, bool, object]:
 def _agrees(row: BucketRow, totals: BucketTotals) -> bool:
     if not (row.rows or totals.rows):
         return True
-    said, ends = (row.rows, row.bytes, row.t_min, row.t_max), _ends(totals)
+    counts, ends = (row.rows, row.bytes, row.t_min, row.t_max), _ends(totals)
     # A higher number of odd messages is harmless: readers only check more of them.
-    return said == (totals.rows, totals.bytes, *ends) and row.odd >= totals.odd
+    return counts == (totals.rows, totals.bytes, *ends) and row.odd >= totals.odd
 
 
 def _ends(totals: BucketTotals) -> tuple[int, int]:

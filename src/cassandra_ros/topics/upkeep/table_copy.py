@@ -167,14 +167,14 @@ class TableCopy:
             for writer in opened.values():
                 writer.flush()
         finally:
-            failed: CassandraRosError | None = None
+            error: CassandraRosError | None = None
             for writer in opened.values():
                 try:
                     writer.close()
                 except CassandraRosError as exc:
-                    failed = exc
-        if failed is not None:
-            raise failed
+                    error = exc
+        if error is not None:
+            raise error
 
     def compare(self) -> int:
         """Compare all rows of the new table with those of the old ones; return their number.
@@ -213,8 +213,8 @@ class TableCopy:
         """Check that a row in one table only has expired in the other one meanwhile."""
         # A row may stay a little longer in the new table than in the old ones.
         tables = self._olds if row.table is self._new else [row.table]
-        gone = all(fetch_row(table, row.position) is None for table in tables)
-        if row.table.metadata.ttl and gone:
+        is_gone = all(fetch_row(table, row.position) is None for table in tables)
+        if row.table.metadata.ttl and is_gone:
             return
         raise WriteFailed(
             f"the message of topic {row.topic} at {row.t} is only in one of the tables after the "
@@ -312,5 +312,5 @@ def _key(row: StoredRow) -> Order:
     return (row.t, row.seq) if block is None else (block.t, block.seq)
 
 
-def _fetching(table: TopicTable, wanted: Sequence[RowKey]) -> Callable[[], Iterator[StoredRow]]:
-    return lambda: (StoredRow(row, table) for row in fetch_rows(wanted))
+def _fetching(table: TopicTable, keys: Sequence[RowKey]) -> Callable[[], Iterator[StoredRow]]:
+    return lambda: (StoredRow(row, table) for row in fetch_rows(keys))

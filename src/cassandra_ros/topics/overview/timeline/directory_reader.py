@@ -88,16 +88,16 @@ class DirectoryReader:
         """Return the slots and nodes of the tables with a time key, by name of table."""
         now = self._clock()
         with self._mutex:
-            cached = {name: slots for name, (until, slots) in self._slots.items() if until > now}
-        missing = [table.name for table in tables if not table.named and table.name not in cached]
+            fresh = {name: slots for name, (until, slots) in self._slots.items() if until > now}
+        missing = [table.name for table in tables if not table.named and table.name not in fresh]
         requests = (self._directory.begin_nodes(name, _EVER) for name in missing)
         for name, answer in zip(missing, sent_ahead(requests, AT_ONCE)):
-            cached[name] = [(slot, node) for slot, node in answer()]
+            fresh[name] = [(slot, node) for slot, node in answer()]
         until = now + KEEP_SEC
         with self._mutex:
             self._slots = {name: entry for name, entry in self._slots.items() if entry[0] > now}
-            self._slots.update((name, (until, cached[name])) for name in missing)
-        return {table.name: cached[table.name] for table in tables if not table.named}
+            self._slots.update((name, (until, fresh[name])) for name in missing)
+        return {table.name: fresh[table.name] for table in tables if not table.named}
 
     def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Ends | None:
         """Return the first and the last time of messages in some tables; None without messages.
@@ -112,14 +112,14 @@ class DirectoryReader:
                 return None
             return min(int(s.first.min()) for s in ranges), max(int(s.last.max()) for s in ranges)
         ends: list[int] = []
-        emptied: dict[str, TopicTable] = {}
+        empty: dict[str, TopicTable] = {}
         for reverse in (False, True):
             for table, times in self._outmost(tables, whose, reverse):
                 ends += times
                 if not times:
-                    emptied[table.name] = table
+                    empty[table.name] = table
         # If all messages of the outmost buckets were deleted, the others may be anywhere between.
-        for piece in self.pieces(list(emptied.values()), _EVER_NS, whose) if emptied else ():
+        for piece in self.pieces(list(empty.values()), _EVER_NS, whose) if empty else ():
             if len(piece.time_ranges.first):
                 ends += [int(piece.time_ranges.first.min()), int(piece.time_ranges.last.max())]
         return (min(ends), max(ends)) if ends else None
@@ -163,10 +163,10 @@ class DirectoryReader:
         counts: list[RangeCounts] = []
         parts = list(self._parts(tables, ends, whose))
         stride = max(1, -(-len(parts) // MAX_PARTITIONS))
-        chosen, others = _thin(parts, stride)
-        limit = max(LEAST_BUCKETS, MAX_BUCKETS // max(1, len(chosen)))
-        answers = self._columns(chosen, limit)
-        for (table, (_, node, _), _), (columns, weight) in zip(chosen, answers):
+        sample, others = _thin(parts, stride)
+        limit = max(LEAST_BUCKETS, MAX_BUCKETS // max(1, len(sample)))
+        answers = self._columns(sample, limit)
+        for (table, (_, node, _), _), (columns, weight) in zip(sample, answers):
             counts.append(piece_of(table, node, columns, weight, whose))
         return [*counts, *_rest(others, counts)]
 
@@ -174,10 +174,10 @@ class DirectoryReader:
         """Yield the partitions with buckets in a time range, and the range of these buckets."""
         slots = self.slots(tables)
         for table in tables:
-            listed = slots.get(table.name, [])
+            node_slots = slots.get(table.name, [])
             first, last = slots_between(table, ends)
             low, high = (table.bucket_of(end) for end in ends)
-            for slot, node in listed:
+            for slot, node in node_slots:
                 if first <= slot <= last and (whose.nodes is None or node in whose.nodes):
                     begin = slot * SLOT_BUCKETS
                     inside = max(begin, low), min(begin + SLOT_BUCKETS - 1, high)
@@ -192,8 +192,8 @@ class DirectoryReader:
 
         def keep(place: SlotKey, ends: Ends, columns: BucketColumns, stride: int) -> None:
             nonlocal recounts_left
-            columns, done = self._recount(tables[place], place[1], columns, recounts_left)
-            recounts_left -= done
+            columns, count = self._recount(tables[place], place[1], columns, recounts_left)
+            recounts_left -= count
             columns_of_slots[place] = self._keep(place, _CachedRows(until, ends, columns, stride))
 
         # One row more than the limit shows that there are too many.
@@ -243,26 +243,26 @@ class DirectoryReader:
         None if they are too few, too coarse or too old.
         """
         with self._mutex:
-            cached = self._kept.get(place)
-        if cached is None or cached.until < self._clock():
+            rows = self._kept.get(place)
+        if rows is None or rows.until < self._clock():
             return None
-        covers = cached.ends[0] <= ends[0] and ends[1] <= cached.ends[1]
-        if not covers or cached.stride > max(1, -(-(ends[1] - ends[0] + 1) // limit)):
+        covers = rows.ends[0] <= ends[0] and ends[1] <= rows.ends[1]
+        if not covers or rows.stride > max(1, -(-(ends[1] - ends[0] + 1) // limit)):
             return None
-        bucket = cached.columns.bucket
-        inside = (bucket > ends[0] - cached.stride) & (bucket <= ends[1])
-        return cached.columns.where(inside), cached.stride
+        bucket = rows.columns.bucket
+        inside = (bucket > ends[0] - rows.stride) & (bucket <= ends[1])
+        return rows.columns.where(inside), rows.stride
 
-    def _keep(self, place: SlotKey, kept: _CachedRows) -> tuple[BucketColumns, int]:
+    def _keep(self, place: SlotKey, rows: _CachedRows) -> tuple[BucketColumns, int]:
         with self._mutex:
             before = self._kept.pop(place, None)
-            self._kept[place] = kept
-            self._size += len(kept.columns.bucket)
+            self._kept[place] = rows
+            self._size += len(rows.columns.bucket)
             self._size -= len(before.columns.bucket) if before is not None else 0
             while self._size > KEPT_BUCKETS:
                 _, oldest = self._kept.popitem(last=False)
                 self._size -= len(oldest.columns.bucket)
-        return kept.columns, kept.stride
+        return rows.columns, rows.stride
 
 
 def _sample(ends: Ends, stride: int) -> list[int]:
@@ -273,20 +273,20 @@ def _sample(ends: Ends, stride: int) -> list[int]:
 
 def _outmost_slots(slots: Listed, reverse: bool) -> dict[str, int]:
     """Return the first (reverse: last) slot of each node."""
-    ordered = slots if reverse else reversed(slots)
-    return {node: slot for slot, node in ordered}  # of equal keys the last one stays
+    entries = slots if reverse else reversed(slots)
+    return {node: slot for slot, node in entries}  # of equal keys the last one stays
 
 
 def _thin(parts: Sequence[SlotPart], stride: int) -> tuple[list[SlotPart], list[SlotPart]]:
     """Choose one in ``stride`` partitions of each table and node, always with the first one."""
-    met: Counter[tuple[str, str]] = Counter()
-    chosen: list[SlotPart] = []
+    counts: Counter[tuple[str, str]] = Counter()
+    sample: list[SlotPart] = []
     others: list[SlotPart] = []
     for slot_part in parts:
         lane = slot_part[1][:2]
-        (others if met[lane] % stride else chosen).append(slot_part)
-        met[lane] += 1
-    return chosen, others
+        (others if counts[lane] % stride else sample).append(slot_part)
+        counts[lane] += 1
+    return sample, others
 
 
 def _rest(parts: Sequence[SlotPart], read: Sequence[RangeCounts]) -> Iterator[RangeCounts]:

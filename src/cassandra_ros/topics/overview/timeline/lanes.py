@@ -76,8 +76,8 @@ class Lane:
         ends: Ends,
     ) -> None:
         self.topic, self.node, self.tables = topic, node, tables
-        joined = TimeRanges.joined([piece.time_ranges for piece in pieces])
-        self.time_ranges = joined.within(*ends)
+        ranges = TimeRanges.joined([piece.time_ranges for piece in pieces])
+        self.time_ranges = ranges.within(*ends)
         keys = MessageKeys.joined([piece.keys for piece in pieces])
         inside = (keys.times >= ends[0]) & (keys.times <= ends[1])
         self.keys = keys.where(inside)
@@ -298,27 +298,29 @@ class Timeline:
         lanes: dict[tuple[str, str], tuple[list[TopicTable], list[RangeCounts]]] = {}
         had: set[tuple[str, str]] = set()
         for table in tables:
-            listed = {node for _, node in slots.get(table.name, [])}
+            dir_nodes = {node for _, node in slots.get(table.name, [])}
             table_pieces = of_table.get(table.name, [])
-            nodes = listed | {piece.node for piece in table_pieces} or {table.metadata.nodeID}
+            nodes = dir_nodes | {piece.node for piece in table_pieces} or {table.metadata.nodeID}
             if whose.nodes is not None:
                 nodes = nodes.intersection(whose.nodes)
             for node in nodes:
                 of_lane = lanes.setdefault((node, table.metadata.topic), ([], []))
                 of_lane[0].append(table)
                 of_lane[1].extend(piece for piece in table_pieces if piece.node == node)
-            had.update((node, table.metadata.topic) for node in listed)
-        drawn = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
+            had.update((node, table.metadata.topic) for node in dir_nodes)
+        all_lanes = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
         if whose.writers is not None:
-            return [lane for lane in drawn if lane.times[0] is not None]
+            return [lane for lane in all_lanes if lane.times[0] is not None]
         if not whole:
-            return drawn
-        kept = [lane for lane in drawn if lane.times[0] is not None or lane.key not in had]
-        shown = {lane.topic for lane in kept}
+            return all_lanes
+        stays = [lane for lane in all_lanes if lane.times[0] is not None or lane.key not in had]
+        topics = {lane.topic for lane in stays}
         if whose.nodes is None:  # a topic stays without its robots
-            emptied = {lane.topic: lane.tables for lane in drawn if lane.topic not in shown}
-            kept += [Lane(topic, "", stay, [], ends) for topic, stay in emptied.items()]
-        return sorted(kept, key=lambda lane: lane.key)
+            tables_of_topics = {
+                lane.topic: lane.tables for lane in all_lanes if lane.topic not in topics
+            }
+            stays += [Lane(topic, "", stay, [], ends) for topic, stay in tables_of_topics.items()]
+        return sorted(stays, key=lambda lane: lane.key)
 
 
 def _extent(named: Sequence[RangeCounts]) -> Ends | None:

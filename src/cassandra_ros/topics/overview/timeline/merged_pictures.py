@@ -40,11 +40,11 @@ def merged_picture(pictures: Sequence[Picture], extent: Ends | None) -> Picture:
             lanes.setdefault((lane.node, lane.topic), []).append(lane)
     scale = next((picture.scale for picture in pictures), None)
     ends = (0, 0) if scale is None else (scale.start, scale.end)
-    merged = [_merge(lanes[key], ends) for key in sorted(lanes)]
+    unions = [_merge(lanes[key], ends) for key in sorted(lanes)]
     # A store whose messages of a topic were deleted still has the topic, of no robot.
-    others = {lane.topic for lane in merged if lane.node}
+    others = {lane.topic for lane in unions if lane.node}
     return Picture(
-        extent, scale, [lane for lane in merged if lane.topic not in others or not _is_bare(lane)]
+        extent, scale, [lane for lane in unions if lane.topic not in others or not _is_bare(lane)]
     )
 
 

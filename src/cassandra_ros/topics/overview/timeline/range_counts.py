@@ -40,9 +40,9 @@ class MessageKeys(NamedTuple):
         """Writer ids."""
         return self.seqs >> 32
 
-    def where(self, chosen: Bools) -> MessageKeys:
-        """Return the messages for which ``chosen`` is true."""
-        return MessageKeys(self.times[chosen], self.seqs[chosen], self.sizes[chosen])
+    def where(self, mask: Bools) -> MessageKeys:
+        """Return the messages for which ``mask`` is true."""
+        return MessageKeys(self.times[mask], self.seqs[mask], self.sizes[mask])
 
     @classmethod
     def joined(cls, parts: Sequence[MessageKeys]) -> MessageKeys:
@@ -76,14 +76,14 @@ def piece_of(
         stride: Number of buckets for which each one stands.
         whose: Writers whose buckets count; its nodes were considered before.
     """
-    chosen = _living(columns, table.metadata.ttl)
+    mask = _living(columns, table.metadata.ttl)
     if whose.writers is not None:
-        chosen &= np.isin(columns.writer, sorted(whose.writers))
-    some = columns.where(chosen)
-    length, counted = table.metadata.bucket_ns, some.rows > 0
+        mask &= np.isin(columns.writer, sorted(whose.writers))
+    some = columns.where(mask)
+    length, has_rows = table.metadata.bucket_ns, some.rows > 0
     begin = some.bucket * length
-    first = np.where(counted, some.t_min, begin)
-    last = np.where(counted, some.t_max, begin + length - 1)
+    first = np.where(has_rows, some.t_min, begin)
+    last = np.where(has_rows, some.t_max, begin + length - 1)
     if stride > 1:
         first = some.bucket // stride * stride * length
         last = np.minimum(first + stride * length - 1, _end_of_slot(some.bucket, length))

@@ -78,9 +78,9 @@ class TimeRanges(NamedTuple):
     sure: Bools
     """Whether the counts are final; otherwise they are estimates."""
 
-    def where(self, chosen: Bools) -> TimeRanges:
-        """Return the time ranges for which ``chosen`` is true."""
-        return TimeRanges._make(column[chosen] for column in self)
+    def where(self, mask: Bools) -> TimeRanges:
+        """Return the time ranges for which ``mask`` is true."""
+        return TimeRanges._make(column[mask] for column in self)
 
     @classmethod
     def joined(cls, parts: Sequence[TimeRanges]) -> TimeRanges:
@@ -143,9 +143,9 @@ class TimeCells:
     def add(self, time_ranges: TimeRanges) -> None:
         """Add the time ranges that meet the scale."""
         near = time_ranges.within(self.scale.start, self.scale.end)
-        counted = near.messages > 0
-        self._mark(self._unknown, near.where(~counted))
-        near = near.where(counted)
+        has_messages = near.messages > 0
+        self._mark(self._unknown, near.where(~has_messages))
+        near = near.where(has_messages)
         spans = self.scale.cells_of(near.last) - self.scale.cells_of(near.first)
         narrow = spans == 0
         cells = self.scale.cells_of(near.first[narrow])
@@ -201,9 +201,9 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[tuple[int, int]]
     writer, first, last = (
         column[order] for column in (time_ranges.writer, time_ranges.first, time_ranges.last)
     )
-    seen = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
+    is_pause = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
     gaps: list[tuple[int, int]] = []
-    for one in np.unique(writer[1:][seen]):  # of thousands of runs few have a pause
+    for one in np.unique(writer[1:][is_pause]):  # of thousands of runs few have a pause
         run = order[writer == one]
         columns = time_ranges.first[run], time_ranges.last[run], time_ranges.messages[run]
         gaps += _gaps(*columns, scale)
