@@ -276,8 +276,8 @@ def to_ns(value: object) -> int:
     if _is_number(value):
         whole = isinstance(value, Integral)
         return check_ns(int(value) if whole else seconds_to_ns(value), value)  # type: ignore[call-overload]
-    known = "a genpy.Time, a datetime, an int (nanoseconds), a float (seconds) or ISO 8601 text"
-    raise InvalidKey(f"{value!r} is not a time: give {known}")
+    forms = "a genpy.Time, a datetime, an int (nanoseconds), a float (seconds) or ISO 8601 text"
+    raise InvalidKey(f"{value!r} is not a time: give {forms}")
 
 
 class When(NamedTuple):
