@@ -133,11 +133,11 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
 
 def _alone(condition: Expression | None, pushed: set[Leaf]) -> Iterator[str]:
     """Yield the parts of a condition that the server did not check at all."""
-    for part in conjuncts(condition):
-        terms = chain.from_iterable(map(terms_of, leaves(part)))
+    for condition_part in conjuncts(condition):
+        terms = chain.from_iterable(map(terms_of, leaves(condition_part)))
         fields = any(isinstance(p, FieldPath) for term in terms for p in inside(term))
-        if fields and not pushed.intersection(leaves(part)):
-            yield _shown(part)
+        if fields and not pushed.intersection(leaves(condition_part)):
+            yield _shown(condition_part)
 
 
 def _shown(condition: Expression) -> str:

@@ -673,7 +673,7 @@ class RosCassandra:
 
 def _near_rows(
     catalog: Catalog,
-    asked: NearDisk,
+    disk: NearDisk,
     topics: Iterable[str] | None,
     read: Read,
     where: Conditions,
@@ -683,7 +683,7 @@ def _near_rows(
     names = sorted({table.metadata.topic for table in tables})
     catalog.filters(where, names, read.whose)  # raises for invalid conditions
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
-    conditions: dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
+    conditions: dict[str, Where] = {name: _and_near(given.get(name), disk) for name in names}
     try:
         with catalog.places.shared():
             filters = catalog.filters(conditions, names, read.whose)
@@ -692,9 +692,9 @@ def _near_rows(
         raise InvalidOption(exc.reason) from exc
 
 
-def _and_near(where: Where | None, asked: NearDisk) -> Where:
+def _and_near(where: Where | None, disk: NearDisk) -> Where:
     """Return the condition NEAR, joined with another condition if there is one."""
-    values = list(asked if asked[-1] else asked[:-1])
+    values = list(disk if disk[-1] else disk[:-1])
     near = f"NEAR({', '.join('?' * len(values))})"
     if where is None:
         return near, values

@@ -82,7 +82,7 @@ def plan_parts(
     buckets = followed(
         tables, lambda now: _buckets(keyspace.directory, now, (low, min(high, MAX_NS)), whose)
     )
-    total = sum(bucket.size for each in buckets.values() for bucket in each)
+    total = sum(bucket.size for ranges in buckets.values() for bucket in ranges)
     share = max(_MIN_PART_BYTES, -(-total // max(1, at_once)))
     return pack(buckets, min(part_bytes, share))
 
@@ -125,11 +125,11 @@ def pack(buckets: dict[str, list[BucketRange]], part_bytes: int) -> list[SparkPa
             if not parts or size + bucket.size > part_bytes:
                 parts.append([])
                 size = 0
-            part = parts[-1]
-            if part and part[-1].node == node:
-                part[-1] = part[-1]._replace(high=bucket.high)
+            partition = parts[-1]
+            if partition and partition[-1].node == node:
+                partition[-1] = partition[-1]._replace(high=bucket.high)
             else:
-                part.append(RobotTimeRange(node, begin, bucket.high))
+                partition.append(RobotTimeRange(node, begin, bucket.high))
             size += bucket.size
             end = bucket.high
     return parts

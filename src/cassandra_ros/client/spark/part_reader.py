@@ -68,8 +68,8 @@ class PartReader:
             for batch in numbers:
                 for number in batch.column(0).to_pylist():
                     for piece in self._parts[number]:
-                        for found in self._read(topic, piece):
-                            yield spark_batch(found, schema)
+                        for messages in self._read(topic, piece):
+                            yield spark_batch(messages, schema)
 
     def _read(self, topic: CassandraTopic, piece: RobotTimeRange) -> Iterator[pyarrow.RecordBatch]:
         reader = self._selection.reader(topic, piece)

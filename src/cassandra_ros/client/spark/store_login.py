@@ -42,8 +42,8 @@ class StoreLogin:
         unknown = sorted(set(options) - {*_OF_LOGIN, *_OF_ANSWERS})
         if unknown:
             reason = "name the certificates in a cqlshrc" if "ssl_context" in unknown else ""
-            known = f"give one of {', '.join((*_OF_LOGIN, *_OF_ANSWERS))}"
-            raise InvalidOption(f"{unknown[0]}= cannot be sent to executors: {reason or known}")
+            choices = f"give one of {', '.join((*_OF_LOGIN, *_OF_ANSWERS))}"
+            raise InvalidOption(f"{unknown[0]}= cannot be sent to executors: {reason or choices}")
         login = read_login(
             host, port, **{name: options[name] for name in _OF_LOGIN if name in options}
         )

@@ -57,9 +57,9 @@ class ConditionChooser:
         """Return whether only few rows were found so far."""
         return self.pushdown.few(table)
 
-    def learn(self, table: Table, bucket: Sequence[Any], found: int) -> None:
+    def learn(self, table: Table, bucket: Sequence[Any], rows: int) -> None:
         """Record the rows found in a bucket."""
-        self.pushdown.learn(table, bucket, found)
+        self.pushdown.learn(table, bucket, rows)
 
     def sift(self, table: Table) -> Sift | None:
         """Return the filter of blocks for a table; None if it would leave no message out."""

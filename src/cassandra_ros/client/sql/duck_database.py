@@ -159,17 +159,17 @@ class DuckDatabase:
                 of the columns.
         """
         types = self.duckdb.StatementType
-        kinds = [each.type for each in self.connection.extract_statements(text)]
+        kinds = [statement.type for statement in self.connection.extract_statements(text)]
         return kinds == [types.SELECT] or (pivots and kinds == [types.MULTI])
 
     def value(self, expression: str, params: Any) -> Any:
         """Return the value of an expression without columns; None = it has none, or an error."""
         try:
             text = f"SELECT {expression}"  # noqa: S608 (made by sqlglot of a checked tree)
-            ((found,),) = self.connection.execute(text, params or None).fetchall()
+            ((value,),) = self.connection.execute(text, params or None).fetchall()
         except self.duckdb.Error:
             return None
-        return found
+        return value
 
     def close(self) -> None:
         """Delete what is in memory and on disk; no statement may be running. Can be repeated."""

@@ -26,7 +26,9 @@ EVENT = "EVENT"
 
 def has_event_field(definitions: Iterable[Definition]) -> bool:
     """Return whether messages have a field of the column's name; it takes the column's place."""
-    fields = (field for each in definitions for field in each.specs[each.type].fields)
+    fields = (
+        field for definition in definitions for field in definition.specs[definition.type].fields
+    )
     return any(field.name.upper() == EVENT for field in fields)
 
 
@@ -55,7 +57,9 @@ class EventNames:
         """Events by nodeID; '' = of all robots."""
         for event in events:
             self._events.setdefault(event.node, []).append(event)
-        self._names = sorted({event.name for each in self._events.values() for event in each})
+        self._names = sorted(
+            {event.name for robot_events in self._events.values() for event in robot_events}
+        )
         self._ranges: dict[str, _Ranges] = {}
 
     def column(self, batch: pyarrow.RecordBatch) -> pyarrow.Array:

@@ -62,13 +62,15 @@ class FrameSource:
 
     def _robots(self) -> Sequence[str]:
         """Return the nodeIDs with transforms."""
-        found: set[str] = set()
+        robots: set[str] = set()
         for topic in (TF, TF_STATIC):
             if self._catalog.exists(topic):
-                found.update(self._catalog.keyspace.nodes(self._catalog.get(topic).tables))
-        if not found:
+                robots.update(self._catalog.keyspace.nodes(self._catalog.get(topic).tables))
+        if not robots:
             raise TopicNotFound(f"neither {TF} nor {TF_STATIC} is stored, so there are no frames")
-        return sorted(found if self._whose.nodes is None else found.intersection(self._whose.nodes))
+        return sorted(
+            robots if self._whose.nodes is None else robots.intersection(self._whose.nodes)
+        )
 
     def _batches(self) -> Iterator[pyarrow.RecordBatch]:
         arrow, (target, frame) = self._arrow, self._frames

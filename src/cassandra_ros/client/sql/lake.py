@@ -163,19 +163,19 @@ class Lake:
     def _write_topic(self, topic: CassandraTopic, report: LakeReport, progress: Progress) -> None:
         source = self._source(topic)
         folder = self._folder / _quoted(topic.name.lstrip("/"))
-        known = _read_listing(folder)
+        listing = _read_listing(folder)
         same = hashlib.sha256(source.schema.schema.serialize().to_pybytes()).hexdigest()
-        files = known["files"] if known.get("schema") == same else {}
-        for part, state in self._parts(source.tables):
-            written = files.get(part.folder, {})
-            path = folder / part.folder / FILE
+        files = listing["files"] if listing.get("schema") == same else {}
+        for day_part, state in self._parts(source.tables):
+            written = files.get(day_part.folder, {})
+            path = folder / day_part.folder / FILE
             if state != OPEN and written.get("state") == state and path.exists():
                 report.unchanged += 1
                 continue
-            source.pushed = part.pushed
+            source.pushed = day_part.pushed
             count = self._write_file(source, path)
             if count:
-                files[part.folder] = {"state": state, "messages": count}
+                files[day_part.folder] = {"state": state, "messages": count}
                 report.files += 1
                 report.messages += count
                 progress(str(path), count)
@@ -202,15 +202,17 @@ class Lake:
                 low = row.bucket * table.metadata.bucket_ns
                 high = low + table.metadata.bucket_ns - 1
                 for day in range(low // _DAY_NS, high // _DAY_NS + 1):
-                    part = DayPart(day, row.node)
+                    day_part = DayPart(day, row.node)
                     run = self._catalog.keyspace.runs.text(row.writer)  # column RUN
                     counts = (row.rows, row.bytes, row.t_min, row.t_max, row.odd, run)
-                    states.setdefault(part, []).append((table.name, row.bucket, row.writer, counts))
+                    states.setdefault(day_part, []).append(
+                        (table.name, row.bucket, row.writer, counts)
+                    )
                     if not finished:
-                        unfinished.add(part)
+                        unfinished.add(day_part)
         return [
-            (part, OPEN if part in unfinished else _digest(sorted(rows)))
-            for part, rows in sorted(states.items())
+            (day_part, OPEN if day_part in unfinished else _digest(sorted(rows)))
+            for day_part, rows in sorted(states.items())
         ]
 
     def _write_file(self, source: TopicSource, path: Path) -> int:
@@ -258,27 +260,27 @@ class Lake:
         for topic in self._timed():
             source = self._source(topic)
             folder = self._folder / _quoted(topic.name.lstrip("/"))
-            parts = {part.folder: part for part, _ in self._parts(source.tables)}
+            parts = {day_part.folder: day_part for day_part, _ in self._parts(source.tables)}
             for name in sorted({*parts, *_read_listing(folder)["files"]}):
                 path = folder / name / FILE
                 stored: tuple[int, int | None] = (0, None)
                 if name in parts:  # else all its messages were deleted
                     source.pushed = parts[name].pushed
                     stored = _digest_of(source)
-                found: tuple[int, int | None] = (0, None)
+                in_file: tuple[int, int | None] = (0, None)
                 if path.exists():
                     try:
-                        found = _digest_of(_FileSource(self._parquet, path))
+                        in_file = _digest_of(_FileSource(self._parquet, path))
                     except (self._arrow.ArrowException, OSError) as exc:
                         report.differences.append(f"{path} cannot be read: {exc}")
                         continue
                 report.files += 1
-                report.messages += found[0]
-                progress(str(path), found[0])
-                if found[0] != stored[0]:
-                    text = f"{path} has {found[0]} messages, the store {stored[0]}"
+                report.messages += in_file[0]
+                progress(str(path), in_file[0])
+                if in_file[0] != stored[0]:
+                    text = f"{path} has {in_file[0]} messages, the store {stored[0]}"
                     report.differences.append(text)
-                elif found != stored:
+                elif in_file != stored:
                     report.differences.append(f"{path} has other values than the store")
         return report
 
@@ -306,8 +308,8 @@ def _digest_of(source: TopicSource | _FileSource) -> tuple[int, int | None]:
     database = DuckDatabase()
     try:
         database.connection.register("messages", source)
-        asked = "SELECT count(*), sum(hash(m)::HUGEINT) FROM messages m"
-        ((count, digest),) = database.connection.execute(asked).fetchall()
+        statement = "SELECT count(*), sum(hash(m)::HUGEINT) FROM messages m"
+        ((count, digest),) = database.connection.execute(statement).fetchall()
         return count, digest
     except database.duckdb.Error as exc:
         error = getattr(source, "error", None)
@@ -318,9 +320,9 @@ def _digest_of(source: TopicSource | _FileSource) -> tuple[int, int | None]:
 
 def _quoted(name: str) -> str:
     """Return a name as that of a folder which no reader takes for hidden."""
-    found = quote(name, safe="")
-    first = {"_": "%5F", ".": "%2E", "-": "%2D"}.get(found[:1])
-    return found if first is None else first + found[1:]
+    folder = quote(name, safe="")
+    first = {"_": "%5F", ".": "%2E", "-": "%2D"}.get(folder[:1])
+    return folder if first is None else first + folder[1:]
 
 
 def _digest(state: Any) -> str:
@@ -329,11 +331,11 @@ def _digest(state: Any) -> str:
 
 def _read_listing(folder: Path) -> dict[str, Any]:
     try:
-        found = json.loads((folder / LISTING).read_text(encoding="utf-8"))
+        listing = json.loads((folder / LISTING).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {"files": {}}  # all files are written anew
-    valid = isinstance(found, dict) and isinstance(found.get("files"), dict)
-    return found if valid else {"files": {}}
+    valid = isinstance(listing, dict) and isinstance(listing.get("files"), dict)
+    return listing if valid else {"files": {}}
 
 
 def _sync(path: Path) -> None:

@@ -53,15 +53,15 @@ def _events(catalog: Catalog) -> Rows:
 
 
 def _constants(catalog: Catalog) -> Rows:
-    found: dict[tuple[str, str], tuple[int | None, float | None, str]] = {}
+    values_of: dict[tuple[str, str], tuple[int | None, float | None, str]] = {}
     for table in catalog.tables(None):
         specs = {} if table.definition is None else table.definition.specs
         for spec in specs.values():
-            for each in spec.constants:
-                whole = int(each.value) if isinstance(each.value, int) else None
-                number = None if isinstance(each.value, str) else float(each.value)
-                found[spec.type, each.name] = (whole, number, str(each.value))
-    return [(*names, *values) for names, values in sorted(found.items())]
+            for constant in spec.constants:
+                whole = int(constant.value) if isinstance(constant.value, int) else None
+                number = None if isinstance(constant.value, str) else float(constant.value)
+                values_of[spec.type, constant.name] = (whole, number, str(constant.value))
+    return [(*names, *values) for names, values in sorted(values_of.items())]
 
 
 def _ns(time: datetime | None) -> int | None:

@@ -34,7 +34,7 @@ def needed_columns(tree: Any) -> Wanted | None:
 def names_column(tree: Any, name: str) -> bool:
     """Return whether a statement may mean a column by a name in lower case."""
     chains = _chains(optional_module("sqlglot.expressions", "sql"), tree)
-    return any(part.lower() == name for chain in chains for part in chain)
+    return any(chain_name.lower() == name for chain in chains for chain_name in chain)
 
 
 def _reads_all(exp: Any, tree: Any) -> bool:
@@ -54,7 +54,7 @@ def _reads_all(exp: Any, tree: Any) -> bool:
 def _chains(exp: Any, tree: Any) -> Iterator[tuple[str, ...]]:
     """Yield the dotted names in a statement, and each other name alone."""
     for column in tree.find_all(exp.Column):
-        chain, node = [part.name for part in column.parts], column
+        chain, node = [column_name.name for column_name in column.parts], column
         while isinstance(node.parent, exp.Dot) and node.parent.this is node:
             node = node.parent
             chain.append(node.expression.name)

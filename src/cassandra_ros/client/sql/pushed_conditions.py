@@ -99,7 +99,7 @@ class PushedRead:
         """Return what is read if one of both holds."""
         low = min(self.time_range.low, other.time_range.low)
         high = max(self.time_range.high, other.time_range.high)
-        conditions = [_alternatives(each.condition) for each in (self, other)]
+        conditions = [_alternatives(read.condition) for read in (self, other)]
         return PushedRead(
             TimeRange(low, high),
             None if self.nodes is None or other.nodes is None else self.nodes | other.nodes,
@@ -155,12 +155,12 @@ def _reads(
     """Return what is read by each mention of each table; {} if one of them was not found."""
     finder = _ConditionFinder(columns, evaluate)
     scopes = optional_module("sqlglot.optimizer.scope", "sql")
-    found: dict[str, list[PushedRead]] = {name: [] for name in columns}
+    reads: dict[str, list[PushedRead]] = {name: [] for name in columns}
     for scope in scopes.traverse_scope(tree):
         for name, read in finder.of_scope(scope):
-            found[name].append(read)
+            reads[name].append(read)
     tables = [t for t in tree.find_all(finder.exp.Table) if t.name in columns]
-    return found if sum(map(len, found.values())) == len(tables) else {}
+    return reads if sum(map(len, reads.values())) == len(tables) else {}
 
 
 def _all_of(reads: Sequence[PushedRead]) -> PushedRead:
@@ -208,7 +208,7 @@ class _ConditionFinder:
 
     def _pushes_nothing(self, select: Any, tables: Iterable[Any]) -> bool:
         """Return whether each row of the tables of a SELECT may be needed, whatever WHERE says."""
-        exp, own = self.exp, set(map(id, select.args.get("joins") or ()))
+        exp, own_joins = self.exp, set(map(id, select.args.get("joins") or ()))
         if select.find(exp.TableSample) is not None:
             return True
         if any(table.args.get("alias") and table.args["alias"].columns for table in tables):
@@ -216,12 +216,12 @@ class _ConditionFinder:
         if any(table.args.get("pivots") for table in tables):
             return True  # WHERE tests what is made of the rows
         # In parentheses: of these joins WHERE does not tell what may be left out.
-        inner = (join for join in select.find_all(exp.Join) if id(join) not in own)
+        inner = (join for join in select.find_all(exp.Join) if id(join) not in own_joins)
         methods = {(j.method or "").upper() for j in inner if j.parent_select is select}
         return not methods <= {"", "NATURAL"}
 
     def _bound(self, condition: Any, names: _Names) -> PushedRead:
-        parts = (self._read_of(part, names) for part in self._conjuncts(condition))
+        parts = (self._read_of(conjunct, names) for conjunct in self._conjuncts(condition))
         return _all_of([read for read in parts if read is not None])
 
     def _comparing(self, select: Any) -> Sequence[Any]:
@@ -240,38 +240,38 @@ class _ConditionFinder:
         A row of the right side that satisfies ON with no row of the result may be left out.
         """
         condition = join.args.get("on")
-        for part in () if condition is None else self._conjuncts(condition):
-            operator = type(part).__name__
+        for conjunct in () if condition is None else self._conjuncts(condition):
+            operator = type(conjunct).__name__
             if operator not in _MIRRORED:
                 continue
-            for own, other, sign in (
-                (part.left, part.right, operator),
-                (part.right, part.left, _MIRRORED[operator]),
+            for operand, other, sign in (
+                (conjunct.left, conjunct.right, operator),
+                (conjunct.right, conjunct.left, _MIRRORED[operator]),
             ):
-                column = names[alias].column(own)
-                for left, read in holds.items():
-                    joined = names[left].column(other) if left != alias else None
+                column = names[alias].column(operand)
+                for other_alias, read in holds.items():
+                    joined = names[other_alias].column(other) if other_alias != alias else None
                     if column is not None and joined is not None:
                         yield _implied_bounds(column, sign, joined, read)
 
     def _shifting(self, select: Any) -> set[str]:
         """Return the tables of which other rows would be joined if some were left out."""
-        found: set[str] = set()
+        aliases: set[str] = set()
         joins = select.args.get("joins") or ()
         for join in joins:
             method, side = (join.method or "").upper(), (join.side or "").upper()
             if method == "POSITIONAL" or (method == "ASOF" and side in ("RIGHT", "FULL")):
                 source = select.args.get("from_") or select.args.get("from")
                 every = [*joins, *([] if source is None else [source])]
-                return {each.this.alias_or_name for each in every}
+                return {source_or_join.this.alias_or_name for source_or_join in every}
             if method not in ("", "NATURAL"):
-                found.add(join.this.alias_or_name)
-        return found
+                aliases.add(join.this.alias_or_name)
+        return aliases
 
     def _conjuncts(self, node: Any) -> Iterator[Any]:
         node = node.unnest()
-        for part in node.flatten() if isinstance(node, self.exp.And) else ():
-            yield from self._conjuncts(part)
+        for operand in node.flatten() if isinstance(node, self.exp.And) else ():
+            yield from self._conjuncts(operand)
         if not isinstance(node, self.exp.And):
             yield node
 
@@ -279,17 +279,17 @@ class _ConditionFinder:
         """Return the bounds of a condition; None = it bounds nothing."""
         exp, node = self.exp, node.unnest()
         if isinstance(node, exp.And):
-            both = (self._read_of(each, names) for each in (node.left, node.right))
+            both = (self._read_of(operand, names) for operand in (node.left, node.right))
             return _all_of([read for read in both if read is not None])
         if isinstance(node, exp.Or):
-            one, two = (self._read_of(each, names) for each in (node.left, node.right))
+            one, two = (self._read_of(operand, names) for operand in (node.left, node.right))
             return None if one is None or two is None else one.either(two)
         if isinstance(node, exp.Between):
             low = self._compared("GTE", node.this, node.args["low"], names)
             high = self._compared("LTE", node.this, node.args["high"], names)
             return (low or EVERYTHING).both(high or EVERYTHING)
         if isinstance(node, exp.In) and node.expressions and not node.args.get("query"):
-            parts = [self._compared("EQ", node.this, each, names) for each in node.expressions]
+            parts = [self._compared("EQ", node.this, value, names) for value in node.expressions]
             reads = [read for read in parts if read is not None]
             return _any_of(reads) if len(reads) == len(parts) else None
         if isinstance(node, exp.In) and node.args.get("field") is not None:
@@ -298,8 +298,8 @@ class _ConditionFinder:
             return self._in_event(node.expression, node.this, names)
         operator = type(node).__name__
         if operator in _MIRRORED:
-            found = self._compared(operator, node.left, node.right, names)
-            return found or self._compared(_MIRRORED[operator], node.right, node.left, names)
+            read = self._compared(operator, node.left, node.right, names)
+            return read or self._compared(_MIRRORED[operator], node.right, node.left, names)
         return None
 
     def _in_event(self, name: Any, listed: Any, names: _Names) -> PushedRead | None:
@@ -321,7 +321,10 @@ class _ConditionFinder:
         """Return the value of an expression, of a time ns; None = it has none, or no constant."""
         if not self._is_constant(node):
             return None
-        exp, given = self.exp, {each.name for each in node.find_all(self.exp.Placeholder)}
+        exp, given = (
+            self.exp,
+            {placeholder.name for placeholder in node.find_all(self.exp.Placeholder)},
+        )
         # DuckDB takes no parameter that an expression lacks, and numbers without gaps.
         named = node.transform(
             lambda n: exp.Placeholder(this=f"p{n.name}") if isinstance(n, exp.Placeholder) else n
@@ -340,9 +343,9 @@ class _ConditionFinder:
             *(exp.Add, exp.Sub, exp.Mul, exp.Var, exp.Placeholder, exp.Identifier),
         )
         return all(
-            (isinstance(each, simple) and not self._is_read_otherwise(each))
-            or (isinstance(each, exp.Anonymous) and each.name.lower() in calls)
-            for each in node.walk()
+            (isinstance(term, simple) and not self._is_read_otherwise(term))
+            or (isinstance(term, exp.Anonymous) and term.name.lower() in calls)
+            for term in node.walk()
         )
 
     def _is_read_otherwise(self, node: Any) -> bool:
@@ -369,23 +372,23 @@ class _Names:
         # Unqualified names are resolved only where all tables are known.
         self._whole = len(sources) == len(scope.selected_sources) == len(self._columns_of)
         self._whole = self._whole and None not in self._columns_of.values()
-        self._given = {each.alias.lower() for each in of.expressions if each.alias}
+        self._given = {output.alias.lower() for output in of.expressions if output.alias}
 
     def column(self, node: Any) -> ComparableColumn | None:
         """Return the column of the table that an expression is; None = it is not one."""
         chain = self._chain(node.unnest())
         if not chain:
             return None
-        own = self._columns_of[self._alias]
-        if own is None:
+        find_own = self._columns_of[self._alias]
+        if find_own is None:
             return None
         if len(chain) > 1 and chain[0].lower() == self._alias:
-            return own(chain[1:])
-        known = {name for name, find in self._columns_of.items() if find and find(chain[:1])}
+            return find_own(chain[1:])
+        aliases = {name for name, find in self._columns_of.items() if find and find(chain[:1])}
         wide = chain[0].lower() in self._given or chain[0].lower() in self._others
-        if wide or not self._whole or known - {self._alias}:
+        if wide or not self._whole or aliases - {self._alias}:
             return None
-        return own(chain)
+        return find_own(chain)
 
     def _chain(self, node: Any) -> list[str]:
         exp, names = self._exp, []
@@ -394,7 +397,7 @@ class _Names:
             node = node.this
         if not isinstance(node, exp.Column):
             return []
-        return [*(part.name for part in node.parts), *reversed(names)]
+        return [*(column_name.name for column_name in node.parts), *reversed(names)]
 
 
 def _implied_bounds(

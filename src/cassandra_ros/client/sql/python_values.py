@@ -34,11 +34,11 @@ def _values(arrow: Any, array: Any) -> Sequence[Any]:
         return [_time(ns) for ns in array.cast(arrow.int64()).to_pylist()]
     if types.is_struct(kind):
         names = [field.name for field in kind]
-        parts = [_values(arrow, part) for part in array.flatten()]
+        parts = [_values(arrow, column) for column in array.flatten()]
         rows = [dict(zip(names, values)) for values in zip(*parts)]
         return _with_nulls(array, rows)
     if types.is_list(kind) or types.is_fixed_size_list(kind):
-        return [_values(arrow, each.values) if each.is_valid else None for each in array]
+        return [_values(arrow, element.values) if element.is_valid else None for element in array]
     if types.is_decimal(kind):
         return [_number(value) for value in array.to_pylist()]
     if types.is_interval(kind):
@@ -79,9 +79,9 @@ def printable_value(value: Any) -> Any:
     can hold, those with months, dates and other types of DuckDB are texts.
     """
     if isinstance(value, dict):
-        return {str(name): printable_value(each) for name, each in value.items()}
+        return {str(name): printable_value(element) for name, element in value.items()}
     if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
-        return [printable_value(each) for each in value]
+        return [printable_value(element) for element in value]
     if value is None or isinstance(value, (bool, int, float, str, bytes, Stamp)):
         return value
     if isinstance(value, Decimal) and Decimal(float(value)) == value:

@@ -100,8 +100,8 @@ def _columns(text: str, definitions: DefinitionsOf) -> Iterator[Offer]:
     columns: dict[str, str] = {}
     for name, alias in tables:
         bare = name[1:-1].replace('""', '"') if name.startswith('"') else name
-        own = name if not alias or alias.lower() in _NO_ALIAS else alias
-        prefix = f"{own}." if len(tables) > 1 else ""
+        qualifier = name if not alias or alias.lower() in _NO_ALIAS else alias
+        prefix = f"{qualifier}." if len(tables) > 1 else ""
         for column, kind in _columns_of(bare, definitions):
             columns.setdefault(prefix + column, kind)
     yield from (Offer(column, "field", kind) for column, kind in columns.items())
@@ -122,7 +122,7 @@ def _columns_of(table: str, definitions: DefinitionsOf) -> Iterator[tuple[str, s
 
 
 def _leaves(fields: Sequence[ArrowField], prefix: str) -> Iterator[tuple[str, str]]:
-    for each in fields:
-        yield prefix + each.name, each.field.type + "[]" * each.field.is_array
-        if not each.field.is_array:
-            yield from _leaves(each.children, f"{prefix}{each.name}.")
+    for child in fields:
+        yield prefix + child.name, child.field.type + "[]" * child.field.is_array
+        if not child.field.is_array:
+            yield from _leaves(child.children, f"{prefix}{child.name}.")

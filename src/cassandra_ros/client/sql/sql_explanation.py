@@ -80,7 +80,7 @@ def explain_source(source: TopicSource) -> TopicReadReport:
     names = (field_names(field.name, field.type) for field in source.columns)
     return TopicReadReport(
         topic=source.topic.name,
-        columns=tuple(name for each in names for name in each),
+        columns=tuple(name for paths in names for name in paths),
         first_ns=low or None,
         last_ns=None if high == LAST_NS else high,
         robots=None if pushed.nodes is None else tuple(sorted(pushed.nodes)),

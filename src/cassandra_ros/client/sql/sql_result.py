@@ -252,7 +252,7 @@ class _Run:
             self.relation = connection.sql(statement.text, params=statement.params or None)
 
     def _find_tables(self, needed: Wanted | None, pushdown: bool) -> None:
-        own = self._statement.own_tables()
+        own_tables = self._statement.own_tables()
         events = names_column(self._statement.tree, EVENT.lower())
         if needed is None and not events:
             events = next(self._catalog.keyspace.events.find(), None) is not None
@@ -264,7 +264,7 @@ class _Run:
                 name = table.name.lower()
                 self.sources[table.name] = listed_source(load_arrow("sql"), self._catalog, name)
                 continue
-            topic = self._topic(table, may_miss=table.name.lower() in own)
+            topic = self._topic(table, may_miss=table.name.lower() in own_tables)
             if topic is None:
                 continue
             other = spelled.setdefault(table.name.lower(), table.name)
@@ -348,11 +348,11 @@ class _Run:
         named = [name.replace('""', '"') for name in _QUOTED.findall(reason)]
         for name in named:
             if re.search(r"not found|Could not find key", reason):
-                known = self._known_columns()
+                columns = self._known_columns()
                 return InvalidQuery(
                     statement.text,
                     statement.position_of(name),
-                    f"there is no column {name}{nearest(name, known)}",
+                    f"there is no column {name}{nearest(name, columns)}",
                 )
         if "TIMESTAMP_NS" in reason and "cast" in reason:
             reason += (
@@ -363,17 +363,17 @@ class _Run:
 
     def _known_columns(self) -> list[str]:
         """Return the names of all columns of the tables, and of the fields in them."""
-        found: list[str] = []
+        names: list[str] = []
         for source in self.sources.values():
             if isinstance(source, TopicSource):
-                found += [EVENT] * source.has_events
+                names += [EVENT] * source.has_events
                 fields: Sequence[Any] = list(TableColumns(source.tables).schema)
             else:
                 fields = list(source.columns)
             while fields:
-                found += [field.name for field in fields]
+                names += [field.name for field in fields]
                 fields = [inner for field in fields for inner in struct_of(field.type)]
-        return list(dict.fromkeys(found))
+        return list(dict.fromkeys(names))
 
     def close(self) -> None:
         """End what runs, and release the database. Can be repeated."""
@@ -397,14 +397,14 @@ def _first_line(text: str) -> str:
 
 def _caret(statement: str, text: str) -> int:
     """Return the place in a statement that DuckDB's error points at; 0 = it points at none."""
-    found = re.search(r"^LINE (\d+): (.*)\n( *)\^", text, re.MULTILINE)
-    if found is None:
+    pointer = re.search(r"^LINE (\d+): (.*)\n( *)\^", text, re.MULTILINE)
+    if pointer is None:
         return 0
-    prefix = len(f"LINE {found.group(1)}: ")
-    shown, column = found.group(2), len(found.group(3)) - prefix
+    prefix = len(f"LINE {pointer.group(1)}: ")
+    shown, column = pointer.group(2), len(pointer.group(3)) - prefix
     lines = statement.split("\n")
-    line = min(int(found.group(1)), len(lines)) - 1
-    begin = sum(len(each) + 1 for each in lines[:line])
+    line = min(int(pointer.group(1)), len(lines)) - 1
+    begin = sum(len(earlier_line) + 1 for earlier_line in lines[:line])
     # A long line is cut at both ends.
     bare = shown.strip(".")
     return begin + max(0, lines[line].find(bare)) + column - (len(shown) - len(shown.lstrip(".")))

@@ -102,7 +102,7 @@ class SqlStatement:
     def _parsed(self) -> Any:
         glot = self._glot
         try:
-            found = [tree for tree in glot.parse(self.text, read="duckdb") if tree is not None]
+            trees = [tree for tree in glot.parse(self.text, read="duckdb") if tree is not None]
         except glot.errors.ParseError as exc:
             first = exc.errors[0] if exc.errors else {}
             spot = self._spot(first.get("line") or 1, first.get("col") or 1, first)
@@ -112,12 +112,12 @@ class SqlStatement:
             raise InvalidQuery(self.text, spot, reason) from exc
         except RecursionError as exc:
             raise InvalidQuery(self.text, 0, "the statement is nested too deeply") from exc
-        if len(found) != 1:
+        if len(trees) != 1:
             raise InvalidQuery(self.text, 0, "give one statement")
         if not self._has_simple_intervals():
-            for interval in found[0].find_all(glot.exp.Interval):
+            for interval in trees[0].find_all(glot.exp.Interval):
                 interval.meta[UNSURE] = True
-        return found[0]
+        return trees[0]
 
     def _has_simple_intervals(self) -> bool:
         """Return whether each text after INTERVAL is a number with at most one unit."""
@@ -131,7 +131,7 @@ class SqlStatement:
     def _spot(self, line: int, column: int, error: Mapping[str, Any]) -> int:
         """Return the index of the character that a line and column mean."""
         before = self.text.split("\n")[: line - 1]
-        end = sum(len(each) + 1 for each in before) + column
+        end = sum(len(earlier_line) + 1 for earlier_line in before) + column
         return max(0, min(end, len(self.text)) - len(error.get("highlight") or " "))
 
     def _check(self) -> None:

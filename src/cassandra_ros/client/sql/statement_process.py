@@ -74,7 +74,7 @@ class _Mail:
     """What the thread that reads standard input has read."""
 
     stopped: threading.Event = field(default_factory=threading.Event)
-    asked: queue.SimpleQueue[dict[str, Any] | None] = field(default_factory=queue.SimpleQueue)
+    requests: queue.SimpleQueue[dict[str, Any] | None] = field(default_factory=queue.SimpleQueue)
     """Statements; None = the input has ended."""
 
 
@@ -92,11 +92,11 @@ def _read_mail(file: BinaryIO, mail: _Mail) -> None:
         kind, content = received
         if kind == ASK:
             mail.stopped.clear()
-            mail.asked.put(json.loads(content))
+            mail.requests.put(json.loads(content))
         elif kind == STOP:
             mail.stopped.set()
     mail.stopped.set()
-    mail.asked.put(None)
+    mail.requests.put(None)
     ending = threading.Timer(_END_SEC, os._exit, [1])  # DuckDB may not notice that it is stopped
     ending.daemon = True
     ending.start()
@@ -130,10 +130,10 @@ class _Answering:
             _limit(_address_bytes() + MORE_BYTES, resource.RLIMIT_AS)
         return self._cassandra
 
-    def answer(self, asked: dict[str, Any]) -> bool:
+    def answer(self, request: dict[str, Any]) -> bool:
         """Answer a statement; return whether this process may run another one."""
         try:
-            for content in self._frames(asked):
+            for content in self._frames(request):
                 self._send(content)
         except BrokenPipeError:
             return False  # the program has ended
@@ -154,17 +154,17 @@ class _Answering:
             self._send(json_frame(ERROR, values))
         return True
 
-    def _frames(self, asked: dict[str, Any]) -> Iterator[bytes]:
-        writers = asked["writers"]
+    def _frames(self, request: dict[str, Any]) -> Iterator[bytes]:
+        writers = request["writers"]
         whose = Whose(
-            None if asked["nodes"] is None else tuple(asked["nodes"]),
+            None if request["nodes"] is None else tuple(request["nodes"]),
             None if writers is None else frozenset(writers),
         )
-        params = [from_json(text, f"params[{n}]") for n, text in enumerate(asked["params"])]
+        params = [from_json(text, f"params[{n}]") for n, text in enumerate(request["params"])]
         spill = max(0, min(SPILL_BYTES, self._free_bytes() - KEPT_BYTES))
         result = SqlResult(
-            self._catalog(asked["keyspace"]),
-            asked["text"],
+            self._catalog(request["keyspace"]),
+            request["text"],
             params,
             whose,
             folder=self._folder,
@@ -172,7 +172,7 @@ class _Answering:
             watch=self._look,
         )
         yield json_frame(COLUMNS, {"columns": result.columns})
-        if asked["plan"]:
+        if request["plan"]:
             yield json_frame(PLAN, {"text": str(result.explain())})
         else:
             for batch in result.batches():
@@ -272,8 +272,8 @@ def main() -> int:
     _limit(0, resource.RLIMIT_CORE)
     _limit(SPILL_BYTES, resource.RLIMIT_FSIZE)
     answering = _Answering(json.loads(hello[1]), out, mail)
-    while (asked := mail.asked.get()) is not None:
-        if not answering.answer(asked):
+    while (request := mail.requests.get()) is not None:
+        if not answering.answer(request):
             break
     answering.close()
     return 0

@@ -27,18 +27,18 @@ class TableColumns:
     """
 
     def __init__(self, tables: Sequence[Table], has_events: bool = False) -> None:
-        found = ArrowSchema(tables)
+        arrow_schema = ArrowSchema(tables)
         self._own = {**_OWN, EVENT.lower(): "event"} if has_events else _OWN
-        self.schema: Any = found.schema
-        self._arrow = found.arrow
-        self._named = found.named
-        self._fields = list(found.fields.values())
+        self.schema: Any = arrow_schema.schema
+        self._arrow = arrow_schema.arrow
+        self._named = arrow_schema.named
+        self._fields = list(arrow_schema.fields.values())
 
     def find(self, names: Sequence[str]) -> ComparableColumn | None:
         """Return a column, or a field in a message; None = no such column, or it is an array."""
-        own = self._own.get(names[0].lower()) if len(names) == 1 else None
-        if own is not None:
-            return ComparableColumn("text" if self._named and own == "key" else own)
+        own_kind = self._own.get(names[0].lower()) if len(names) == 1 else None
+        if own_kind is not None:
+            return ComparableColumn("text" if self._named and own_kind == "key" else own_kind)
         paths = {_path(fields, names) for fields in self._fields} - {None}
         kind = self._kind(names)
         if kind is None or len(paths) != 1:
@@ -74,12 +74,12 @@ class TableColumns:
 def _is_text(fields: Sequence[ArrowField], names: Sequence[str]) -> bool:
     """Return whether a field is a string in a definition, or is not in it."""
     for number, name in enumerate(names, 1):
-        found = next((field for field in fields if field.name.lower() == name.lower()), None)
-        if found is None:
+        field_column = next((field for field in fields if field.name.lower() == name.lower()), None)
+        if field_column is None:
             return True
-        if found.field.is_array or number == len(names):
-            return found.field.base == "string" and not found.field.is_array
-        fields = found.children
+        if field_column.field.is_array or number == len(names):
+            return field_column.field.base == "string" and not field_column.field.is_array
+        fields = field_column.children
     return True
 
 
@@ -87,8 +87,8 @@ def _path(fields: Sequence[ArrowField], names: Sequence[str]) -> str | None:
     """Return the path of a field in the messages of one definition; None = it has no such field."""
     path = None
     for name in names:
-        found = next((field for field in fields if field.name.lower() == name.lower()), None)
-        if found is None or found.field.is_array:
+        field_column = next((field for field in fields if field.name.lower() == name.lower()), None)
+        if field_column is None or field_column.field.is_array:
             return None
-        fields, path = found.children, found.path
+        fields, path = field_column.children, field_column.path
     return path

@@ -148,9 +148,9 @@ class TopicSource:
             chosen = EventTimes(event for event in events if event.name in self.pushed.events)
             reads = chosen.reads(read)
         names, place = EventNames(self.schema.arrow, events), len(self.schema.own)
-        for each in reads:
+        for event_read in reads:
             self._watch()
-            for batch in self._read(each, chooser):
+            for batch in self._read(event_read, chooser):
                 arrays = [*batch.columns]
                 arrays.insert(place, names.column(batch))
                 yield self.schema.arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
