@@ -117,15 +117,15 @@ class PieceCopy:
         here = self._pair.here
         seen = here.cassandra.server_time_us()
         before = self._present(piece)
-        known = {} if again else self._known(before, books)
-        rows = [row for row in before if not self._is_confirmed(row, known)]
+        confirmed_books = {} if again else self._known(before, books)
+        rows = [row for row in before if not self._is_confirmed(row, confirmed_books)]
         count = CopyCount()
         if not rows:
             return count
         if self._selection.deletions:
-            count.deleted = self._delete(piece.node, rows, known)
+            count.deleted = self._delete(piece.node, rows, confirmed_books)
         taken: dict[_Entry, tuple[int, int]] = {}
-        after = self._transfer(piece, before, rows, known, count, taken)
+        after = self._transfer(piece, before, rows, confirmed_books, count, taken)
         for row in [] if count.damaged else rows:
             if self._is_covered(row):
                 # With fewer copies than a quorum some rows may not have been seen.
@@ -145,13 +145,13 @@ class PieceCopy:
 
     def _known(self, rows: Sequence[BucketRow], books: Books) -> Books:
         """Return the entries of the books that tell of the same messages in the same table."""
-        known: dict[_Entry, CopiedBucket] = {}
+        piece_books: dict[_Entry, CopiedBucket] = {}
         for row in rows:
             book = books.get((row.bucket, row.writer))
             if book is not None and book.there in self._pair.names:
                 if book.rule in ("", self._rule(row)):
-                    known[row.bucket, row.writer] = book
-        return known
+                    piece_books[row.bucket, row.writer] = book
+        return piece_books
 
     def _is_confirmed(self, row: BucketRow, books: Books) -> bool:
         book = books.get((row.bucket, row.writer))
@@ -185,10 +185,10 @@ class PieceCopy:
         if columns is None or self._is_cut_otherwise(piece, rows, books):
             # A block has messages that are later than its key.
             end = (self._selection.time_range.high, MAX_SEQ)
-            parts = [part._replace(ends=(part.ends[0], end)) for part in parts]
+            parts = [bucket_part._replace(ends=(bucket_part.ends[0], end)) for bucket_part in parts]
             with ConvertedCopy(pair, piece.node, self._sent, self._choose) as converted:
-                for part in parts:
-                    converted.copy(part)
+                for bucket_part in parts:
+                    converted.copy(bucket_part)
             taken.update(converted.taken)
             count.messages, count.bytes = converted.messages, converted.bytes
             return self._present(piece)
@@ -204,14 +204,14 @@ class PieceCopy:
             if is_settled(row) and (row.bucket, row.writer) in books:
                 # It was left open there while it was written here, and is to be closed now.
                 buckets.open(piece.node, self._bucket_there(row.bucket), row.writer)
-        for part in parts:
-            copy.copy(part)
+        for bucket_part in parts:
+            copy.copy(bucket_part)
         after = self._present(piece)
         writing = {row.writer for row in before if not (is_settled(row) and _is_same(row, after))}
         done = {row.writer for row in before} - writing
         # Rows of a part were counted only in part.
-        known = any((row.bucket, row.writer) in books for row in before)
-        whole = not known and all(map(self._is_covered, rows))
+        has_books = any((row.bucket, row.writer) in books for row in before)
+        whole = not has_books and all(map(self._is_covered, rows))
         buckets.close(done, copy.counts.totals if whole else {})
         counts = copy.counts
         count.messages, count.bytes, count.damaged = counts.messages, counts.bytes, counts.damaged
@@ -226,8 +226,8 @@ class PieceCopy:
         twice.
         """
         source, target = self._pair.source, self._pair.target
-        known = [books.get((row.bucket, row.writer)) for row in rows]
-        if not source.packed or all(book and book.there == target.name for book in known):
+        row_books = [books.get((row.bucket, row.writer)) for row in rows]
+        if not source.packed or all(book and book.there == target.name for book in row_books):
             return False
         writers = frozenset(row.writer for row in rows)
         buckets = sorted({row.bucket for row in rows})
@@ -257,13 +257,13 @@ class PieceCopy:
         source, (low, high) = self._pair.source, self._selection.time_range
         bucket, writers = rows[0].bucket, frozenset(row.writer for row in rows)
         ends = (low, MIN_SEQ), (high, MAX_SEQ)
-        part = Part(node, bucket, writers, ends, page_rows=page_rows(rows))
-        known = [books.get((row.bucket, row.writer)) for row in rows]
-        booked = [book for book in known if book is not None]
+        bucket_part = Part(node, bucket, writers, ends, page_rows=page_rows(rows))
+        row_books = [books.get((row.bucket, row.writer)) for row in rows]
+        booked = [book for book in row_books if book is not None]
         settled = any(map(is_settled, rows))
         decoded = self._pair.columns is None and settled
         if len(booked) < len(rows) or self._choose is not None or decoded:
-            yield part  # a copy that decodes messages compares their keys itself
+            yield bucket_part  # a copy that decodes messages compares their keys itself
             return
         since_us = max(0, min(book.seen for book in booked) - SEEN_MARGIN_US)
         mine = row_keys(source, node, bucket, writers)
@@ -272,7 +272,7 @@ class PieceCopy:
             keys |= mine.keys() - self._keys_there(node, bucket, writers)
         if keys:
             first, last = max(min(keys), ends[0]), min(max(keys), ends[1])
-            yield part._replace(ends=(first, last), keys=frozenset(keys))
+            yield bucket_part._replace(ends=(first, last), keys=frozenset(keys))
 
     def _keys_there(self, node: str, bucket: int, writers: frozenset[int]) -> set[Order]:
         """Return the keys of the rows of writers there in the time range of a bucket here."""
@@ -280,7 +280,11 @@ class PieceCopy:
         low = bucket * source.bucket_ns
         high = low + source.bucket_ns - 1
         buckets = range(target.bucket_of(low), target.bucket_of(high) + 1)
-        return {key for each in buckets for key in row_keys(target, node, each, writers)}
+        return {
+            key
+            for target_bucket in buckets
+            for key in row_keys(target, node, target_bucket, writers)
+        }
 
     def _delete(self, node: str, rows: Sequence[BucketRow], books: Books) -> int:
         """Delete there what was deleted here since it was copied."""
@@ -305,8 +309,8 @@ class PieceCopy:
         source, target = self._pair.source, self._pair.target
         if source.bucket_ns != target.bucket_ns or not self._pair.there.cassandra.finds_all_written:
             return None
-        found = self._pair.there.directory.find(target.name, row.node, row.bucket)
-        entries = [r for r in found if r.writer == row.writer and r.closed and r.rows >= row.rows]
+        rows = self._pair.there.directory.find(target.name, row.node, row.bucket)
+        entries = [r for r in rows if r.writer == row.writer and r.closed and r.rows >= row.rows]
         writers = frozenset([row.writer])
         if entries and target.packed:
             # Messages that were deleted in a block there are not copied again.

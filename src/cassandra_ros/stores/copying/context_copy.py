@@ -31,8 +31,8 @@ def check_schema(there: Keyspace) -> None:
     there.schema.tables(fresh=True)  # raises for topics of a newer release
     wanted = {**SIDE_TABLES, **LATER_TABLES}
     names = sorted(wanted)
-    found = there.cassandra.system_schema_of("columns", "column_name", there.name, names)
-    for name, rows in zip(names, found):
+    columns = there.cassandra.system_schema_of("columns", "column_name", there.name, names)
+    for name, rows in zip(names, columns):
         missing = column_names(wanted[name]).difference(column for (column,) in rows)
         if rows and missing:
             raise UnsupportedSchema(
@@ -79,14 +79,14 @@ def copy_runs(
     Returns:
         The number of runs that were new or different there.
     """
-    known = {(run.writer, run.node): run for run in there.registry.runs()}
+    runs_there = {(run.writer, run.node): run for run in there.registry.runs()}
     count = 0
     for run in here.registry.runs():
         if writers is not None and run.writer not in writers:
             continue
         stored = {topic: n for topic, n in run.stored.items() if topic in topics}
         run = replace(run, stored=stored)
-        other = known.get((run.writer, run.node))
+        other = runs_there.get((run.writer, run.node))
         if other != run:
             _copy_rows(here, there, _SENT, _SENT_COLUMNS, run)
             there.registry.put_run(run)  # last: of a run that is there the send times are there
@@ -115,11 +115,11 @@ def copy_losses(
 ) -> int:
     """Copy the losses of topics by some writers (None = all); return the number of new ones."""
     names = sorted(topics)
-    known = set(there.registry.losses(names))
+    losses_there = set(there.registry.losses(names))
     new = [
         loss
         for loss in here.registry.losses(names)
-        if (writers is None or loss.writer in writers) and loss not in known
+        if (writers is None or loss.writer in writers) and loss not in losses_there
     ]
     for loss in new:
         there.registry.put_loss(loss)

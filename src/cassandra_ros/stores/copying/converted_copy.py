@@ -68,12 +68,12 @@ class ConvertedCopy:
         finally:
             self._lock.__exit__(failure, *exc_info)
 
-    def copy(self, part: Part) -> None:
+    def copy(self, bucket_part: Part) -> None:
         """Write the messages of a bucket that are not there yet; return when they are stored."""
-        length, bucket = self._pair.source.bucket_ns, int(part.where)
-        low = max(bucket * length, part.ends[0][0])
-        high = min((bucket + 1) * length - 1, part.ends[1][0], LAST_NS)
-        read = Read(TimeRange(low, high), Whose((part.node,), part.writers))
+        length, bucket = self._pair.source.bucket_ns, int(bucket_part.where)
+        low = max(bucket * length, bucket_part.ends[0][0])
+        high = min((bucket + 1) * length - 1, bucket_part.ends[1][0], LAST_NS)
+        read = Read(TimeRange(low, high), Whose((bucket_part.node,), bucket_part.writers))
         there = {(row.t, row.seq) for row in self._bare(read)}
         rows = self._counted(bucket, self._choose(read))
         self._write(row for row in rows if (row.t, row.seq) not in there)

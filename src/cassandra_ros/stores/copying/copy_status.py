@@ -52,23 +52,23 @@ def copy_status(catalog: Catalog, topics: Iterable[str] | None = None) -> list[T
     """
     books = CopyBooks(catalog.keyspace.side_tables)
     entries: dict[UUID, dict[str, CopiedTable]] = {}
-    for entry in (each for each in books.tables() if not each.gone):
+    for entry in (table_entry for table_entry in books.tables() if not table_entry.gone):
         entries.setdefault(entry.target, {})[entry.table] = entry
     tables = catalog.tables(topics)
-    found: dict[tuple[str, str], TopicStatus] = {}
-    for target, known in entries.items():
-        place = next(iter(known.values())).place
+    statuses: dict[tuple[str, str], TopicStatus] = {}
+    for target, entry_of in entries.items():
+        place = next(iter(entry_of.values())).place
         for table in tables:
             topic = table.metadata.topic
-            status = found.setdefault((place, topic), TopicStatus(place, topic))
-            mine = known.get(table.name)
+            status = statuses.setdefault((place, topic), TopicStatus(place, topic))
+            mine = entry_of.get(table.name)
             if mine is not None:
                 status.refused = status.refused or mine.refused
                 if not (mine.there or mine.refused):
                     status.left_out += count_rows(catalog.keyspace.directory, [table], EVERYTHING)
                     continue
             _add(catalog, books, target, table, status)
-    return [found[key] for key in sorted(found)]
+    return [statuses[key] for key in sorted(statuses)]
 
 
 def _add(
@@ -80,9 +80,9 @@ def _add(
     directory = catalog.keyspace.directory
     rows = settle(directory, table, buckets_of(directory, table))
     slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
-    known = {(b.node, b.bucket, b.writer): b for b in books.buckets(target, table.name, slots)}
+    books_of = {(b.node, b.bucket, b.writer): b for b in books.buckets(target, table.name, slots)}
     for row in rows:
-        book = known.get((row.node, row.bucket, row.writer))
+        book = books_of.get((row.node, row.bucket, row.writer))
         known_rows, copied, nbytes, t_max = 0, 0, 0, row.t_min
         # With fewer messages than the book tells of, some were deleted: what is there may be new.
         alike = book is not None and book.rows <= row.rows
@@ -104,8 +104,8 @@ def _add(
 
 
 def _add_named(books: CopyBooks, target: UUID, table: TopicTable, status: TopicStatus) -> None:
-    known = books.buckets(target, table.name, books.slots(target, table.name))
-    seen = {(book.node, book.writer): book.seen for book in known}
+    stored_books = books.buckets(target, table.name, books.slots(target, table.name))
+    seen = {(book.node, book.writer): book.seen for book in stored_books}
     for row in named_rows(table, CopySelection()):
         if row.written_us <= seen.get((row.node, row.writer), 0):
             status.copied += 1

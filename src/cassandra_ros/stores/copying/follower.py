@@ -167,9 +167,9 @@ class Follower:
         while not self._ending.is_set():
             begun = time.monotonic()
             try:
-                left = self._pass(begun)
+                has_more = self._pass(begun)
                 failures = 0
-                pause = 0.0 if left else self._period_sec - (time.monotonic() - begun)
+                pause = 0.0 if has_more else self._period_sec - (time.monotonic() - begun)
             except (AccessDenied, InvalidOption, UnsupportedSchema) as exc:
                 self.problem = str(exc)
                 return
@@ -193,11 +193,11 @@ class Follower:
             return False
         before = replicator.sent_bytes
         report = replicator.copy(max_sec=PASS_SEC)
-        left = any(topic.left for topic in report.topics.values())
+        has_more = any(topic.left for topic in report.topics.values())
         rate = (replicator.sent_bytes - before) / max(0.001, time.monotonic() - begun)
-        state = PAUSED if self._paused.is_set() else COPYING if left else FOLLOWING
+        state = PAUSED if self._paused.is_set() else COPYING if has_more else FOLLOWING
         self._note(state, replicator, report, rate)
-        return left and state == COPYING
+        return has_more and state == COPYING
 
     def _note(
         self, state: str, replicator: Replicator, report: CopyReport | None, rate: float

@@ -108,13 +108,13 @@ class NamedCopy:
     def _known(self) -> dict[int, CopiedBucket]:
         """Return what the books say, by writer; of several nodes the one that was seen first."""
         slots = self._books.slots(self._id, self._pair.source.name)
-        found: dict[int, CopiedBucket] = {}
+        book_of: dict[int, CopiedBucket] = {}
         for book in self._books.buckets(self._id, self._pair.source.name, slots):
             if book.there in self._pair.names:
-                other = found.get(book.writer)
+                other = book_of.get(book.writer)
                 if other is None or book.seen < other.seen:
-                    found[book.writer] = book
-        return found
+                    book_of[book.writer] = book
+        return book_of
 
     def _copy_as_stored(self, rows: Iterable[NamedRow], count: CopyCount) -> None:
         pair, late = self._pair, list(rows)

@@ -119,9 +119,9 @@ def keep_under(
 def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
     directory = catalog.keyspace.directory
     targets: dict[str, set[UUID]] = {}
-    for entry in (each for each in books.tables() if not each.gone):
+    for entry in (table_entry for table_entry in books.tables() if not table_entry.gone):
         targets.setdefault(entry.table, set()).add(entry.target)
-    found = []
+    entries = []
     for table in catalog.tables(None):
         if table.named:
             continue
@@ -130,23 +130,23 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
         there = [row for row in listed if not row.expired(table.metadata.ttl)]
         rows = [row for row in settle(directory, table, there) if row.rows]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
-        known: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
+        books_of: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
         for target in targets.get(table.name, ()):
             for book in books.buckets(target, table.name, slots):
                 key = (book.node, book.bucket, book.writer)
-                known.setdefault(key, []).append((target, book))
+                books_of.setdefault(key, []).append((target, book))
         for row in rows:
             place = (row.node, row.bucket, row.writer)
             mine = dict.fromkeys(targets.get(table.name, ()), CopiedBucket(*place))
-            mine.update(known.get(place, []))
+            mine.update(books_of.get(place, []))
             confirming: list[tuple[UUID, CopiedBucket]] = []
             others: list[tuple[UUID, CopiedBucket]] = []
             for target, book in mine.items():
                 confirms = book.confirms(row, [book.there])
                 (confirming if confirms else others).append((target, book))
-            left = 0 if confirming else uncopied_of(table, row, [b for _, b in others]).messages
-            found.append(_Entry(table, row, confirming, others, row.bytes * left // row.rows))
-    return found
+            messages = 0 if confirming else uncopied_of(table, row, [b for _, b in others]).messages
+            entries.append(_Entry(table, row, confirming, others, row.bytes * messages // row.rows))
+    return entries
 
 
 def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
@@ -156,8 +156,8 @@ def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
         False: Messages were added since the entry was listed, and nothing was deleted.
     """
     table, row, confirming, others, _ = entry
-    found = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
-    now = next((each for each in found if each.writer == row.writer), row)
+    rows_now = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
+    now = next((now_row for now_row in rows_now if now_row.writer == row.writer), row)
     if not is_settled(now) or now.rows > row.rows:
         return False
     if confirming and not any(book.confirms(now, [book.there]) for _, book in confirming):

@@ -195,36 +195,42 @@ class Replicator:
         self._books.make()
         self._target = target_id(self._there.cassandra, self._there.name)
         tables = self._tables()
-        known: dict[str, CopiedTable] = {}
+        entries: dict[str, CopiedTable] = {}
         for entry in self._books.tables():
             if entry.target == self._id:
-                known[entry.table] = entry
+                entries[entry.table] = entry
             elif entry.place == self.place and not entry.gone:
                 self._books.bury(entry)
         if self._selection.deletions and self._names is None:
-            self._delete_removed(known, report)
+            self._delete_removed(entries, report)
         report.unused = self._rules.unused(sorted({table.metadata.topic for table in tables}))
         runs = self._here.registry.runs() if any(r.selects_runs for r in self._rules.rules) else []
         work = []
         for table in tables:
             rule = self._rules.of(table.metadata.topic)
             if rule is None:
-                self._leave_out(table, known)
-            elif pair := self._pair(table, rule, known, report):
+                self._leave_out(table, entries)
+            elif pair := self._pair(table, rule, entries, report):
                 work.append(self._work(pair, rule, runs, again))
-        copy_headers([each.pair for each in work if each.pair.source.name not in self._connected])
-        self._connected.update(each.pair.source.name for each in work)
-        work.sort(key=lambda each: (each.rule.order, each.mean_bytes))
+        copy_headers(
+            [
+                table_work.pair
+                for table_work in work
+                if table_work.pair.source.name not in self._connected
+            ]
+        )
+        self._connected.update(table_work.pair.source.name for table_work in work)
+        work.sort(key=lambda table_work: (table_work.rule.order, table_work.mean_bytes))
         ends = math.inf if max_sec is None else time.monotonic() + max_sec
-        tell = _Tell(progress, sum(each.messages for each in work))
-        for each in work:
-            self._copy_table(each, report, tell, again, ends)
+        tell = _Tell(progress, sum(table_work.messages for table_work in work))
+        for table_work in work:
+            self._copy_table(table_work, report, tell, again, ends)
         self._copy_context(report, work)
         return report
 
-    def _leave_out(self, table: TopicTable, known: dict[str, CopiedTable]) -> None:
+    def _leave_out(self, table: TopicTable, entries: dict[str, CopiedTable]) -> None:
         """Note in the books that no rule takes a table."""
-        before = known.get(table.name)
+        before = entries.get(table.name)
         entry = CopiedTable(self._id, table.name, self.place, table.metadata.topic)
         if before is not None:
             self._doubt_removed(table, before.there)
@@ -271,11 +277,11 @@ class Replicator:
         self,
         table: TopicTable,
         rule: CopyRule,
-        known: dict[str, CopiedTable],
+        entries: dict[str, CopiedTable],
         report: CopyReport,
     ) -> TablePair | None:
         """Return a table with its counterpart; None if it is refused, which is reported."""
-        topic, entry = table.metadata.topic, known.get(table.name)
+        topic, entry = table.metadata.topic, entries.get(table.name)
         there = entry.there if entry is not None else ""
         result = report.topics.setdefault(topic, TopicCopy(topic=topic))
         try:
@@ -340,23 +346,23 @@ class Replicator:
         entries = [r for r in rows_here if whose.writers is None or r.writer in whose.writers]
         times = self._times_of(rule)
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows_here})
-        found = {
+        book_of = {
             (book.node, book.bucket, book.writer): book
             for book in self._books.buckets(self._id, source.name, slots)
         }
         work = _Work(pair, rule, selection, times=times)
         if times is not None:
             without = [row for row in entries if not work.spans(row)]
-            self._note_left_out(source, pair.target.name, without, found)
+            self._note_left_out(source, pair.target.name, without, book_of)
             entries = [row for row in entries if work.spans(row)]
-        late = [row for row in entries if again or not work.has(row, found)]
+        late = [row for row in entries if again or not work.has(row, book_of)]
         work.pieces = list(_pieces(pair, late, entries))
         work.messages, work.bytes = sum(row.rows for row in late), sum(row.bytes for row in late)
         work.writers = {row.writer for row in entries}
         if rule.selects_runs and self._selection.whose == EVERYBODY:
             others = [row for row in rows_here if row.writer not in (whose.writers or ())]
-            self._note_left_out(source, pair.target.name, others, found)
-        for (node, bucket, writer), book in found.items():
+            self._note_left_out(source, pair.target.name, others, book_of)
+        for (node, bucket, writer), book in book_of.items():
             work.books.setdefault(node, {})[bucket, writer] = book
         return work
 
@@ -479,11 +485,13 @@ class Replicator:
         """Copy runs and losses of what was copied, and the events of its robots and runs."""
         everything = self._names is None and self._selection.whose == EVERYBODY
         everything = everything and not any(rule.selects_runs for rule in self._rules.rules)
-        writers = None if everything else {w for each in work for w in each.writers}
-        if not everything and any(each.pair.source.named for each in work):
-            named = [each.pair.source for each in work if each.pair.source.named]
-            found = (row.writer for table in named for row in named_rows(table, self._selection))
-            writers = {*(writers or ()), *found}
+        writers = None if everything else {w for table_work in work for w in table_work.writers}
+        if not everything and any(table_work.pair.source.named for table_work in work):
+            named = [table_work.pair.source for table_work in work if table_work.pair.source.named]
+            named_writers = (
+                row.writer for table in named for row in named_rows(table, self._selection)
+            )
+            writers = {*(writers or ()), *named_writers}
         topics = self._there.schema.listing(fresh=True).by_topic
         copy_runs(self._here, self._there, writers, topics)
         copied = {name for name, topic in report.topics.items() if not topic.refused}
@@ -493,10 +501,10 @@ class Replicator:
         copy_losses(self._here, self._there, copied, writers)
         copy_events(self._here, self._there, self._selection.time_range, self._selection.whose)
 
-    def _delete_removed(self, known: dict[str, CopiedTable], report: CopyReport) -> None:
+    def _delete_removed(self, entries: dict[str, CopiedTable], report: CopyReport) -> None:
         """Delete there what was copied of tables that were removed here."""
         listing = self._here.schema.listing()
-        for name, entry in known.items():
+        for name, entry in entries.items():
             if name in listing.every:
                 continue
             if name in listing.heirs:  # converted: its messages are in another table
@@ -541,7 +549,9 @@ class _Work:
             low = row.bucket * length
             whole = Read(TimeRange(low, low + length - 1), Whose((row.node,)))
             parts = [] if self.times is None else self.times.reads(whole)
-            spans = self._spans[row.node, row.bucket] = [part.time_range for part in parts]
+            spans = self._spans[row.node, row.bucket] = [
+                event_read.time_range for event_read in parts
+            ]
         return spans
 
     def has(self, row: BucketRow, books: Mapping[tuple[str, int, int], CopiedBucket]) -> bool:

@@ -114,10 +114,10 @@ def _pieces(
             if whose.nodes is None or node in whose.nodes:
                 yield node, 0, whose.writers or frozenset()
         return
-    found: dict[tuple[str, int], set[int]] = {}
+    writers_of: dict[tuple[str, int], set[int]] = {}
     for row in buckets_of(here.directory, table, whose):
-        found.setdefault((row.node, row.bucket), set()).add(row.writer)
-    for (node, bucket), writers in sorted(found.items()):
+        writers_of.setdefault((row.node, row.bucket), set()).add(row.writer)
+    for (node, bucket), writers in sorted(writers_of.items()):
         yield node, bucket, frozenset(writers)
 
 
@@ -147,23 +147,23 @@ def _compare(
 
 def _digest(rows: Iterable[StoredRow]) -> Digest:
     """Return the digest of messages: their places, connections, receive times and bytes."""
-    found, count = hashlib.blake2b(digest_size=16), 0
+    digest, count = hashlib.blake2b(digest_size=16), 0
     for row in rows:
         name, wire = row.name.encode("utf-8"), row.wire
         for value in (row.t, row.seq, row.conn, row.received, len(name), len(wire)):
-            found.update(encode_long(value))
-        found.update(name)
-        found.update(wire)
+            digest.update(encode_long(value))
+        digest.update(name)
+        digest.update(wire)
         count += 1
-    return Digest(count, found.hexdigest())
+    return Digest(count, digest.hexdigest())
 
 
 def _digest_of_headers(table: TopicTable, node: str, bucket: int, read: Read) -> Digest:
     """Return the digest of the headers of blocks, which have checksums of their bytes."""
-    found, count = hashlib.blake2b(digest_size=16), 0
+    digest, count = hashlib.blake2b(digest_size=16), 0
     for block in headers(table, node, bucket, *read.time_range, read.whose.writers):
-        own = (block.t, block.seq, block.conn, block.size, block.last, block.messages, block.crc)
-        for value in (*own, block.nchunks, block.odd, len(block.gone), *block.gone.tolist()):
-            found.update(encode_long(int(value)))
+        header = (block.t, block.seq, block.conn, block.size, block.last, block.messages, block.crc)
+        for value in (*header, block.nchunks, block.odd, len(block.gone), *block.gone.tolist()):
+            digest.update(encode_long(int(value)))
         count += block.left
-    return Digest(count, found.hexdigest())
+    return Digest(count, digest.hexdigest())

@@ -69,7 +69,7 @@ def find_pair(
     there: Keyspace,
     source: TopicTable,
     format: str | None,
-    known: str = "",
+    name_before: str = "",
     *,
     thinned: bool = False,
 ) -> TablePair:
@@ -77,7 +77,7 @@ def find_pair(
 
     Args:
         format: Format there; None = as the topic is stored there, or else as here.
-        known: Name of the table there that took rows before, by the books; '' = none did.
+        name_before: Name of the table there that took rows before, by the books; '' = none did.
         thinned: Whether a rule leaves out some messages, so that blocks are made anew.
 
     Raises:
@@ -86,7 +86,7 @@ def find_pair(
     """
     metadata = source.metadata
     tables = _tables_there(there, metadata)
-    _check_renamed(there, metadata, known)
+    _check_renamed(there, metadata, name_before)
     for table in tables:
         _check_alike(metadata, table.metadata)
     kinds = _of_kind(here, source, tables)
@@ -94,7 +94,7 @@ def find_pair(
         ours, theirs = type_texts(metadata, tables[0].metadata)
         raise _refusal(metadata, f"type {ours}", theirs)
     # There may be a table of another format there, too: what is in one must not go to the other.
-    took = there.schema.listing().heirs.get(known, known)
+    took = there.schema.listing().heirs.get(name_before, name_before)
     took_before = [t for t in tables if t.name == took and t.kind.fits(source.kind)]
     kinds = took_before or kinds
     if format is not None and all(table.definition is None for table in kinds or [source]):
@@ -154,10 +154,10 @@ def _tables_there(there: Keyspace, metadata: TopicMetadata) -> Sequence[TopicTab
     return there.tables.of_topic(metadata.topic)
 
 
-def _check_renamed(there: Keyspace, metadata: TopicMetadata, known: str) -> None:
+def _check_renamed(there: Keyspace, metadata: TopicMetadata, name_before: str) -> None:
     """Raise SchemaConflict if the table that took the rows before has another topic now."""
     listing = there.schema.listing()
-    name = listing.heirs.get(known, known)
+    name = listing.heirs.get(name_before, name_before)
     other = listing.visible.get(name)
     if other is not None and other.topic != metadata.topic:
         raise _refusal(
@@ -201,19 +201,19 @@ def _has_kinds(here: Keyspace, topic: str, tables: Sequence[TopicTable]) -> bool
 
 
 def _format_there(
-    metadata: TopicMetadata, tables: Sequence[TopicMetadata], asked: str | None
+    metadata: TopicMetadata, tables: Sequence[TopicMetadata], format: str | None
 ) -> str:
     """Return the format for the rows; a second table would hold messages that are there twice."""
     formats = {other.format for other in tables}
-    if asked is not None:
-        format_class(asked)  # raises UnknownFormat
-        if formats and asked not in formats:
+    if format is not None:
+        format_class(format)  # raises UnknownFormat
+        if formats and format not in formats:
             raise SchemaConflict(
-                f"topic {metadata.topic} is not copied: format {asked} was asked for, and it is "
+                f"topic {metadata.topic} is not copied: format {format} was asked for, and it is "
                 f"kept in format {', '.join(sorted(formats))} there; 'cassandra_bag convert' "
                 "changes that there"
             )
-        return asked
+        return format
     if not formats or metadata.format in formats:
         return metadata.format
     return stored_format(tables, metadata.md5sum)

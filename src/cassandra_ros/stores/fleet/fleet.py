@@ -144,8 +144,10 @@ class Fleet:
 
         def describe() -> list[FleetTopicInfo]:
             whose = whose_of(answer, nodeID, run)
-            found = topics_of(answer, names)
-            return [info for topic in found for info in describe_topic(answer, topic, whose)]
+            stored_topics = topics_of(answer, names)
+            return [
+                info for topic in stored_topics for info in describe_topic(answer, topic, whose)
+            ]
 
         return FleetList(settled(answer, describe), answer)
 
@@ -177,9 +179,9 @@ class Fleet:
 
         def begin() -> Iterator[FleetRow]:
             whose = whose_of(answer, nodeID, run)
-            found = find_topic(answer, topic)
-            read = replace(found.read_of(key, to_key, whose), reverse=reverse, wanted=limit)
-            return islice(rows_of(found, read, where), limit)
+            stored_topic = find_topic(answer, topic)
+            read = replace(stored_topic.read_of(key, to_key, whose), reverse=reverse, wanted=limit)
+            return islice(rows_of(stored_topic, read, where), limit)
 
         return FleetRows(settled(answer, begin), answer)
 
@@ -259,8 +261,8 @@ class Fleet:
             TopicNotFound, SchemaConflict, StoreUnavailable: As in rows.
         """
         if to_key is not None:
-            asked = {"nodeID": nodeID, "limit": limit, "where": where, "run": run}
-            pairs = self.items(topic, key, to_key, **asked)  # type: ignore[arg-type]
+            options = {"nodeID": nodeID, "limit": limit, "where": where, "run": run}
+            pairs = self.items(topic, key, to_key, **options)  # type: ignore[arg-type]
             return pairs.listed(itemgetter(1))
         if key is None:
             raise InvalidKey("getData needs a key (and to_key for a time range); items() reads all")
@@ -307,14 +309,15 @@ class Fleet:
 
         def begin() -> Iterator[FleetRow]:
             read = Read(range_between(key, to_key), whose_of(answer, nodeID, run))
-            found = topics_of(answer, names)
-            conditions = conditions_of(answer, found, where)
+            stored_topics = topics_of(answer, names)
+            conditions = conditions_of(answer, stored_topics, where)
             choice = EventChoice.of(event)
             parts = [read]
             if choice is not None:
                 parts = times_of_events(answer, choice, read).reads(read)
             return chain.from_iterable(
-                merged_topics(answer, found, part, conditions, received) for part in parts
+                merged_topics(answer, stored_topics, event_read, conditions, received)
+                for event_read in parts
             )
 
         return FleetRows(settled(answer, begin), answer)
@@ -405,16 +408,16 @@ def find_row(
     run: RunName,
 ) -> FleetRow | None:
     """Return the row that getData means by a key; None if there is no such row."""
-    whose, found = whose_of(answer, node, run), find_topic(answer, topic)
+    whose, stored_topic = whose_of(answer, node, run), find_topic(answer, topic)
     if nearest is not None:
-        return _nearest(found, found.read_of(key, None, whose), nearest, where)
-    read = found.read_of_one(key, whose)
+        return _nearest(stored_topic, stored_topic.read_of(key, None, whose), nearest, where)
+    read = stored_topic.read_of_one(key, whose)
     if is_ours(key) and whose.has(key):
         at = key.t if isinstance(read.only, Named) else key.ns
-        rows = rows_of(found, read, where)
+        rows = rows_of(stored_topic, read, where)
         return next((r for r in rows if (r.t, r.node, r.seq) == (at, key.node, key.seq)), None)
     newest = isinstance(read.only, Named)  # of one name the newest; of equal values the first
-    return next(rows_of(found, replace(read, reverse=newest, wanted=1), where), None)
+    return next(rows_of(stored_topic, replace(read, reverse=newest, wanted=1), where), None)
 
 
 def _nearest(topic: FleetTopic, read: Read, nearest: str, where: Where | None) -> FleetRow | None:

@@ -118,12 +118,12 @@ class FleetBooks:
 
     def spared(self, topics: Topics, read: Read) -> Spared:
         """Return which buckets need not be read, as books and directories are now."""
-        asked = {
+        work_of = {
             name: partial(self._read, topics, name, read)
             for name in topics
             if any(self._is_asked(copy) for copy in self._copies.get(name, {}).values())
         }
-        return Spared(self._stores, topics, self._stores.each(asked, lambda work: work()))
+        return Spared(self._stores, topics, self._stores.each(work_of, lambda work: work()))
 
     def _is_asked(self, copy: _Copy) -> bool:
         return copy.store not in self._stores.missing
@@ -131,7 +131,7 @@ class FleetBooks:
     def _read(self, topics: Topics, store: str, read: Read) -> dict[tuple[str, str], _Buckets]:
         """Return the buckets of a store by table and robot."""
         catalog = self._stores.catalogs[store]
-        found: dict[tuple[str, str], _Buckets] = {}
+        buckets_of: dict[tuple[str, str], _Buckets] = {}
         for table in catalog.tables(list(topics[store])):
             copy = self._copies[store].get(table.name)
             if copy is None or not self._is_asked(copy) or table.named:
@@ -147,9 +147,9 @@ class FleetBooks:
             ]
             if len(slots) <= MOST_SLOTS:
                 for slot, node in slots:
-                    buckets = found.setdefault((table.name, node), _Buckets(copy))
+                    buckets = buckets_of.setdefault((table.name, node), _Buckets(copy))
                     self._compare(catalog, table.name, (slot, node), buckets)
-        return found
+        return buckets_of
 
     def _compare(
         self, catalog: Catalog, table: str, place: tuple[int, str], buckets: _Buckets
@@ -158,9 +158,9 @@ class FleetBooks:
         copy = buckets.copy
         rows = _entries_of(catalog, table, place)
         sure = _confirmed(catalog, copy, table, place, rows)
-        asked = {copy.store: self._stores.catalogs[copy.store]} if sure else {}
-        found = self._stores.each(asked, lambda c: _entries_of(c, copy.table, place))
-        theirs = [row for answer in found.values() for row in answer]
+        catalog_of = {copy.store: self._stores.catalogs[copy.store]} if sure else {}
+        rows_of = self._stores.each(catalog_of, lambda c: _entries_of(c, copy.table, place))
+        theirs = [row for answer in rows_of.values() for row in answer]
         beats = {(row.bucket, row.writer): row.heartbeat for row in theirs if row.closed}
         for row in rows:
             key = row.bucket, row.writer
@@ -186,12 +186,14 @@ class Spared:
     ) -> None:
         self._stores, self._topics = stores, topics
         self._buckets = {
-            store: found
-            for store, found in buckets.items()
-            if any(each.there for each in found.values())
+            store: store_buckets
+            for store, store_buckets in buckets.items()
+            if any(table_buckets.there for table_buckets in store_buckets.values())
         }
         self.targets = {
-            each.copy.store for found in self._buckets.values() for each in found.values()
+            table_buckets.copy.store
+            for store_buckets in self._buckets.values()
+            for table_buckets in store_buckets.values()
         }
         """The stores that are read instead."""
 
@@ -218,12 +220,12 @@ class Spared:
         def find(store: str) -> list[StoredRow]:
             catalog = self._stores.catalogs[store]
             rows = catalog.keyspace.rows.read(catalog.tables([row.topic]), read)
-            return [each for each in rows if each.seq == row.seq]
+            return [stored_row for stored_row in rows if stored_row.seq == row.seq]
 
-        left = [name for name in self._buckets if row.topic in self._topics[name]]
-        asked = {name: name for name in left if name not in row.stores}
-        found = self._stores.each(asked, find)
-        return [(name, each) for name, rows in found.items() for each in rows]
+        sparing_stores = [name for name in self._buckets if row.topic in self._topics[name]]
+        names = {name: name for name in sparing_stores if name not in row.stores}
+        rows_of = self._stores.each(names, find)
+        return [(name, stored_row) for name, rows in rows_of.items() for stored_row in rows]
 
     def shared(
         self, tables: Mapping[str, Sequence[TopicTable]], read: Read
@@ -237,14 +239,16 @@ class Spared:
             Ranges in order that begin and end with buckets of the first store; None = too many, or
             a store that should be read instead of another does not answer any more.
         """
-        (own,), *_ = tables.values()
-        length, (low, high) = own.bucket_ns, read.time_range
+        (first_table,), *_ = tables.values()
+        length, (low, high) = first_table.bucket_ns, read.time_range
         others = {name: partial(self._busy, name, tables[name], read) for name in list(tables)[1:]}
-        found = self._stores.each(others, lambda busy: list(busy()))
+        ranges_of = self._stores.each(others, lambda busy: list(busy()))
         if not self.targets.isdisjoint(self._stores.missing):
             return None
         merged: list[TimeRange] = []
-        for begin, end in sorted(each for ranges in found.values() for each in ranges):
+        for begin, end in sorted(
+            time_range for ranges in ranges_of.values() for time_range in ranges
+        ):
             first, last = begin // length * length, (end // length + 1) * length - 1
             if merged and first <= merged[-1].high + 1:
                 first, last = merged[-1].low, max(merged.pop().high, last)
@@ -292,8 +296,8 @@ def _entries_of(catalog: Catalog, table: str, place: tuple[int, str]) -> list[Bu
     slot, node = place
     first = slot * SLOT_BUCKETS
     entries = (table, node, slot, first, first + SLOT_BUCKETS - 1)
-    asked = catalog.keyspace.directory.begin_buckets([entries])
-    return [row for answer in asked for row in answer()]
+    requests = catalog.keyspace.directory.begin_buckets([entries])
+    return [row for answer in requests for row in answer()]
 
 
 def _confirmed(
@@ -307,12 +311,12 @@ def _confirmed(
     except AccessDenied as exc:
         _log.info("the books of copies are not used: %s", exc)
         return {}
-    known = {(book.bucket, book.writer): book for book in entries}
+    book_of = {(book.bucket, book.writer): book for book in entries}
     return {
         key: noted[key]
         for row in rows
         if (key := (row.bucket, row.writer)) in noted
-        and key in known
+        and key in book_of
         and row.closed
-        and known[key].confirms(row, [copy.table])
+        and book_of[key].confirms(row, [copy.table])
     }

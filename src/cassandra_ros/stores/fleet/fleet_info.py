@@ -75,11 +75,11 @@ def describe_topic(
         for info in infos:
             by_node[info.node].setdefault(store, []).append(info)
     for node, infos_by_store in sorted(by_node.items()):
-        found: dict[str, FleetTopicInfo] = {}
+        totals: dict[str, FleetTopicInfo] = {}
         filled = [store for store, infos in infos_by_store.items() if any(i.count for i in infos)]
         for store, infos in infos_by_store.items():
             for info in infos:
-                total = found.setdefault(info.md5sum, _blank(topic.name, info))
+                total = totals.setdefault(info.md5sum, _blank(topic.name, info))
                 _note(total, store, info)
                 if len(filled) < 2:
                     total.extend(info.first_ns, info.last_ns, info.count, info.bytes)
@@ -87,13 +87,13 @@ def describe_topic(
             read = Read(whose=Whose.of(node).both(whose), columns=lambda table: ())
             alone, shared = topic.divided(read, partial(ask, read.whose))
             for info in chain.from_iterable(alone):
-                if info.md5sum in found:  # else of a type that was stored meanwhile
-                    found[info.md5sum].extend(info.first_ns, info.last_ns, info.count, info.bytes)
-            for part in shared:
-                for row in topic.read(replace(read, time_range=part)):
-                    if row.md5sum in found:
-                        found[row.md5sum].extend(row.t, row.t, 1, row.size)
-        yield from found.values()
+                if info.md5sum in totals:  # else of a type that was stored meanwhile
+                    totals[info.md5sum].extend(info.first_ns, info.last_ns, info.count, info.bytes)
+            for shared_range in shared:
+                for row in topic.read(replace(read, time_range=shared_range)):
+                    if row.md5sum in totals:
+                        totals[row.md5sum].extend(row.t, row.t, 1, row.size)
+        yield from totals.values()
 
 
 def _blank(topic: str, info: TopicInfo) -> FleetTopicInfo:

@@ -64,8 +64,8 @@ def writers_of(answer: FleetAnswer, run: RunName) -> frozenset[int]:
             reasons.append(f"{name}: {exc}")
             return frozenset()
 
-    found = answer.each({name: name for name in answer.catalogs}, find)
-    writers = frozenset().union(*found.values())
+    writers_by_store = answer.each({name: name for name in answer.catalogs}, find)
+    writers = frozenset().union(*writers_by_store.values())
     if not writers:
         away = f"; these do not answer: {told(answer.missing)}" if answer.partial else ""
         raise RunNotFound(f"no store of the fleet has run {run!r:.80} – {'; '.join(reasons)}{away}")
@@ -113,7 +113,7 @@ def topic_names(answer: FleetAnswer) -> list[str]:
 
 def topics_of(answer: FleetAnswer, names: Sequence[str] | None) -> list[FleetTopic]:
     """Return topics, each once whatever its spelling; None = all that can be read."""
-    found: dict[frozenset[tuple[str, str]], FleetTopic] = {}
+    topics: dict[frozenset[tuple[str, str]], FleetTopic] = {}
     for name in topic_names(answer) if names is None else names:
         try:
             topic = find_topic(answer, name)
@@ -122,8 +122,8 @@ def topics_of(answer: FleetAnswer, names: Sequence[str] | None) -> list[FleetTop
                 raise
             _log.error("topic %s is left out, it cannot be read here: %s", name, exc)
             continue
-        found.setdefault(frozenset(topic.names.items()), topic)
-    return list(found.values())
+        topics.setdefault(frozenset(topic.names.items()), topic)
+    return list(topics.values())
 
 
 def conditions_of(
@@ -134,15 +134,15 @@ def conditions_of(
         return {}
     if not isinstance(where, Mapping):
         raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
-    found: dict[str, Where] = {}
+    conditions: dict[str, Where] = {}
     for name, condition in where.items():
         topic = find_topic(answer, name).name
-        if topic not in [each.name for each in topics]:
+        if topic not in [fleet_topic.name for fleet_topic in topics]:
             raise InvalidOption(f"there is a condition for topic {topic}, which is not read")
-        if topic in found:
+        if topic in conditions:
             raise InvalidOption(f"there are two conditions for topic {topic}; join them")
-        found[topic] = condition
-    return found
+        conditions[topic] = condition
+    return conditions
 
 
 def rows_of(topic: FleetTopic, read: Read, where: Where | None) -> Iterator[FleetRow]:

@@ -113,12 +113,12 @@ class FleetTopic:
             return sum(self._answer.each(self._topics, lambda t: t.count(read)).values())
         bare = replace(read, columns=lambda table: (), chooser=None, wanted=None)
 
-        def count(store: str, part: TimeRange) -> int:
-            return self._topics[store].count(replace(read, time_range=part))
+        def count(store: str, time_range: TimeRange) -> int:
+            return self._topics[store].count(replace(read, time_range=time_range))
 
         counts, shared = self.divided(read, count)
-        reads = (replace(bare, time_range=part) for part in shared)
-        return sum(counts) + sum(1 for part in reads for _ in self.read(part))
+        reads = (replace(bare, time_range=time_range) for time_range in shared)
+        return sum(counts) + sum(1 for time_range in reads for _ in self.read(time_range))
 
     def divided(
         self, read: Read, work: Callable[[str, TimeRange], _T]
@@ -130,22 +130,22 @@ class FleetTopic:
         """
         tables = self._answer.each(self._topics, lambda topic: list(topic.tables))
         first = next(iter(self._topics))
-        own = tables.get(first, [])
+        first_tables = tables.get(first, [])
         named = any(table.named for every in tables.values() for table in every)
-        if len(own) != 1 or named or read.only is not None:
+        if len(first_tables) != 1 or named or read.only is not None:
             return [], [read.time_range]
         spared = self._answer.books.spared(self._names_by_store(), read)
         shared = spared.shared(tables, read) if spared else None
         if shared is None:
             return [], [read.time_range]
         alone, (low, high) = [], read.time_range
-        for part in (*shared, TimeRange(high + 1, high)):
-            if low < part.low:
-                alone.append(TimeRange(low, part.low - 1))
-            low = part.high + 1
+        for time_range in (*shared, TimeRange(high + 1, high)):
+            if low < time_range.low:
+                alone.append(TimeRange(low, time_range.low - 1))
+            low = time_range.high + 1
         results: list[_T] = []
-        for part in alone:
-            results += self._answer.each({first: part}, partial(work, first)).values()
+        for time_range in alone:
+            results += self._answer.each({first: time_range}, partial(work, first)).values()
         if len(results) < len(alone):  # the store went away, and others have the messages, too
             return [], [read.time_range]
         return results, shared
@@ -215,10 +215,10 @@ def find_topic(answer: FleetAnswer, name: str) -> FleetTopic:
             reasons[store] = str(exc)
             return None
 
-    found = answer.each({store: store for store in answer.catalogs}, find)
-    topics = {store: topic for store, topic in found.items() if topic is not None}
+    topic_by_store = answer.each({store: store for store in answer.catalogs}, find)
+    topics = {store: topic for store, topic in topic_by_store.items() if topic is not None}
     if not topics:
-        text = "; ".join(f"{store}: {reasons[store]}" for store in found)
+        text = "; ".join(f"{store}: {reasons[store]}" for store in topic_by_store)
         if answer.missing:
             text += f"; and these do not answer: {told(answer.missing)}"
         raise TopicNotFound(f"no store of the fleet has topic {name!r} – {text}")
