@@ -107,20 +107,20 @@ class BagIndex:
         return start_ns, end_ns
 
     def _read_connections(self, count: int) -> None:
-        found: dict[int, tuple[str, bytes]] = {}
+        header_of: dict[int, tuple[str, bytes]] = {}
         where = f"{self.path}: a connection in the index"
         for _ in range(count):
             record = bagformat.read_record(self._index, bagformat.OP_CONNECTION, where)
             number = bagformat.number(record.fields, b"conn", where)
             header = self._data(record.data_bytes, where)
             topic = self._check(record.fields, number, header)
-            if found.setdefault(number, (topic, header)) != (topic, header):
+            if header_of.setdefault(number, (topic, header)) != (topic, header):
                 raise BagError(f"{self.path} is damaged: it has two different connections {number}")
         # rosbag reads messages of equal times in the order of the connection records. We order
         # them by connection number. If the records are not in the order of their ids, the
         # position of the record becomes the number.
-        ascending = list(found) == sorted(found)
-        for place, (number, (topic, header)) in enumerate(found.items()):
+        ascending = list(header_of) == sorted(header_of)
+        for place, (number, (topic, header)) in enumerate(header_of.items()):
             kept = self.numbers[number] = number if ascending else place
             if number not in self._unusable:
                 self.connections[kept] = Connection(topic, header, kept)
@@ -174,15 +174,15 @@ class BagIndex:
         if len(data) != count * bagformat.COUNT.size:
             raise BagError(f"{where} is damaged: {len(data)} bytes for {count} connections")
         counts: Counter[int] = Counter()
-        left: Counter[int] = Counter()
+        unusable: Counter[int] = Counter()
         for file_id, messages in bagformat.COUNT.iter_unpack(data):
             if file_id not in self.numbers:
                 raise BagError(f"{where} counts messages of connection {file_id}, which is missing")
             if messages and file_id in self._unusable:
-                left[file_id] += messages
+                unusable[file_id] += messages
             elif messages:
                 counts[self.numbers[file_id]] += messages
-        return ChunkInfo(position, start_ns, end_ns, counts, 0), left
+        return ChunkInfo(position, start_ns, end_ns, counts, 0), unusable
 
     def _data(self, data_bytes: int, where: str) -> bytes:
         """Read the data of an index record."""
@@ -197,12 +197,12 @@ class BagIndex:
         positions = self._column(0)
         chunks, before, last = array("Q"), 0, len(bagformat.MAGIC)
         for place in sorted(range(len(positions)), key=positions.__getitem__):
-            *known, count = self._chunk(place)
-            if not last < known[0] < data_end:
-                what = f"its index places a chunk at byte {known[0]}"
+            *place_and_times, count = self._chunk(place)
+            if not last < place_and_times[0] < data_end:
+                what = f"its index places a chunk at byte {place_and_times[0]}"
                 raise BagError(f"{self.path} is damaged: {what}")
-            chunks.extend((*known, before))
-            before, last = before + count, known[0]
+            chunks.extend((*place_and_times, before))
+            before, last = before + count, place_and_times[0]
         self._chunks = chunks
 
 
@@ -323,8 +323,8 @@ def _find_chunk(file: BinaryIO, position: int) -> int | None:
     size, overlap = os.fstat(file.fileno()).st_size, len(_CHUNK_OP) - 1
     for start in range(position, size, _SEARCH_BYTES):
         file.seek(start)
-        part, at = file.read(_SEARCH_BYTES + overlap), -1
-        while (at := part.find(_CHUNK_OP, at + 1)) >= 0:
+        data, at = file.read(_SEARCH_BYTES + overlap), -1
+        while (at := data.find(_CHUNK_OP, at + 1)) >= 0:
             for before in _BEFORE_OP:
                 begin = start + at - before - bagformat.U32.size
                 if begin >= position and _is_chunk(file, begin):
@@ -634,9 +634,9 @@ class BagReader(BagIndex, MessageFile):
             self.salvaged.cuts[chunk], self._cut_counts[chunk] = cut, counts
             self.salvaged.damaged.add(chunk)
             self.salvaged.behind |= chunk + 1 < self.chunk_count
-            left = cut.data_bytes - cut.content_bytes * (cut.compression == "none")
+            unread_bytes = cut.data_bytes - cut.content_bytes * (cut.compression == "none")
             place = f"the chunk that begins at byte {position} of {size}"
-            self.salvaged.add(f"is damaged in {place}{why}", left or end - position)
+            self.salvaged.add(f"is damaged in {place}{why}", unread_bytes or end - position)
             missing.update(listed)
             missing.subtract(counts)
         self.counts.subtract(missing)
@@ -657,10 +657,10 @@ class BagReader(BagIndex, MessageFile):
             content = bagformat.unpack_part(compression, self._file.read(data_bytes), size)
         except (BagError, OSError):  # not even its header, or too large
             return CutChunk("none", self._chunk(chunk)[0], 0, 0), {}
-        known = dict.fromkeys(self.numbers, b"")
+        connections = dict.fromkeys(self.numbers, b"")
         where = self._where(chunk)
         count = partial(self._allowance.records, where)
-        stop, _, counts = _readable_records(content, where, known, count, start_ns, end_ns)
+        stop, _, counts = _readable_records(content, where, connections, count, start_ns, end_ns)
         usable = {i: n for i, n in counts.items() if i not in self._unusable}
         numbered = {self.numbers.get(file_id, -1): count for file_id, count in usable.items()}
         return CutChunk(compression, data_pos, data_bytes, stop), numbered
@@ -712,10 +712,12 @@ class BagReader(BagIndex, MessageFile):
         if self._unusable:
             usable = ~np.isin(messages.ids, list(self._unusable))
             messages = bagformat.ChunkMessages(*(column[usable] for column in messages))
-        present, inverse, each = np.unique(messages.ids, return_inverse=True, return_counts=True)
+        present, inverse, messages_per_id = np.unique(
+            messages.ids, return_inverse=True, return_counts=True
+        )
         numbers = [self.numbers.get(file_id, -1) for file_id in present.tolist()]
         ids = np.array(numbers, np.int64)[inverse]
-        if dict(zip(numbers, each.tolist())) != counts:
+        if dict(zip(numbers, messages_per_id.tolist())) != counts:
             raise BagError(
                 f"{where} is damaged: its {len(ids)} messages are not those that the index "
                 f"lists; repair it with: rosbag reindex {self.path}"
@@ -731,17 +733,17 @@ class BagReader(BagIndex, MessageFile):
         count = sum(counts.values())
         if count < bagformat.MIN_AT_ONCE * max(1, len(counts)):
             return None
-        found: list[bagformat.Longs] = []
+        offsets_by_index: list[bagformat.Longs] = []
         try:
             for _ in counts:
                 record = bagformat.read_record(self._file, bagformat.OP_INDEX, self.path)
                 if record.data_bytes > 12 * count:
                     return None
                 entries = np.frombuffer(self._file.read(record.data_bytes), "<u4")
-                found.append(entries[2::3].astype(np.int64))
+                offsets_by_index.append(entries[2::3].astype(np.int64))
         except (BagError, OSError, ValueError):
             return None
-        offsets = np.concatenate(found)
+        offsets = np.concatenate(offsets_by_index)
         return np.sort(offsets) if len(offsets) == count else None
 
     def _chunk_header(self, chunk: int) -> tuple[str, int, int]:

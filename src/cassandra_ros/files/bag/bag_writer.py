@@ -41,8 +41,8 @@ class BagWriter(FileWriter):
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
         if compression not in bagformat.COMPRESSIONS:
-            known = ", ".join(bagformat.COMPRESSIONS)
-            raise BagError(f"{compression!r} is not a compression of bags; known are {known}")
+            names = ", ".join(bagformat.COMPRESSIONS)
+            raise BagError(f"{compression!r} is not a compression of bags; known are {names}")
         super().__init__(path)
         self._compression = compression
         self._chunk_bytes = chunk_bytes
@@ -75,8 +75,8 @@ class BagWriter(FileWriter):
         for number in sorted(self._used):
             self._file.write(self._connection_record(number))
         self._infos.seek(0)
-        for part in iter(lambda: self._infos.read(_SPOOL_BYTES), b""):
-            self._file.write(part)
+        for infos in iter(lambda: self._infos.read(_SPOOL_BYTES), b""):
+            self._file.write(infos)
         self._file.seek(len(bagformat.MAGIC))
         self._file.write(self._file_header(index_pos))
 

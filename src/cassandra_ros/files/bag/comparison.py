@@ -270,8 +270,10 @@ def _counts(reader: MessageFile, numbers: AbstractSet[int], times: TimeRange) ->
     if times == TimeRange() or not numbers:
         return reader.counts
     chunks = range(reader.chunk_count)
-    messages = (each for chunk in chunks for each in reader.chunk_messages(chunk, numbers))
-    return Counter(each.number for each in messages if times.low <= each.t_ns <= times.high)
+    messages = (message for chunk in chunks for message in reader.chunk_messages(chunk, numbers))
+    return Counter(
+        message.number for message in messages if times.low <= message.t_ns <= times.high
+    )
 
 
 def _stored_topics(catalog: Catalog, names: Iterable[str]) -> AbstractSet[str]:
@@ -534,8 +536,12 @@ class Comparison:
         return 0
 
     def _missing(self, count: int) -> None:
-        known = self._order or self._seen
-        why = "is not in the store" if known else "has no counterpart: the store has fewer messages"
+        is_certain = self._order or self._seen
+        why = (
+            "is not in the store"
+            if is_certain
+            else "has no counterpart: the store has fewer messages"
+        )
         self._report.missing += count
         for _ in range(count):
             entry = self._bag.popleft()

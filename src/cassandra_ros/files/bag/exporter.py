@@ -124,9 +124,9 @@ def export_bag(
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
     reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, run), event)
     early = latched and (start is not None or event is not None)
-    found = _found(catalog, names, reads, where, early)
+    rows = _found(catalog, names, reads, where, early)
     report = ExportReport(os.fspath(path))
-    first = list(islice(found, 1))
+    first = list(islice(rows, 1))
     if not (first or empty):
         why = why_empty(catalog, names, nodeID, run)
         raise MessageNotFound(f"{report.path} is not written, for there is no such message: {why}")
@@ -135,7 +135,7 @@ def export_bag(
         numbers = ConnectionNumbers(writer, several_robots=len(robots) > 1)
         sent = PublishTimeFinder(catalog.keyspace.side_tables, writer.keeps_publish_times)
         times = TimeRange(LAST_NS, 0)
-        for t_ns, row in chain(first, found):
+        for t_ns, row in chain(first, rows):
             wire, is_early = row.wire, t_ns != row.received
             number = numbers.latched(row) if is_early else numbers.of(row)
             writer.write(number, t_ns, wire, *sent.of(row, t_ns))
@@ -172,12 +172,12 @@ def _rows_of_parts(
 ) -> Iterator[tuple[int, StoredRow]]:
     written = LatchedRecord()
     notes = finder is not None and len(reads.parts) > 1 and finder.latches
-    for part in reads.parts:
-        low, high = part.time_range
-        before = [] if finder is None else written.changes(finder.of(part.whose), low, high)
+    for read in reads.parts:
+        low, high = read.time_range
+        before = [] if finder is None else written.changes(finder.of(read.whose), low, high)
         for row in before:
             yield low, row
-        for row in catalog.merged(tables, filters, part, received=True):
+        for row in catalog.merged(tables, filters, read, received=True):
             if notes and finder is not None and finder.is_latched(row):
                 written.note(row)
             yield row.received, row
@@ -187,7 +187,7 @@ def _events(catalog: Catalog, reads: Reads, times: TimeRange, whose: Whose) -> I
     """Yield the events of robots that meet the time range of the messages, and one of the parts."""
     if times.low > times.high:
         return
-    starts = [part.time_range.low for part in reads.parts]
+    starts = [read.time_range.low for read in reads.parts]
     for event in catalog.keyspace.events.find(within=times, whose=whose):
         n = bisect_right(starts, event.time_range.high) - 1
         if n >= 0 and reads.parts[n].time_range.high >= event.start_ns:

@@ -129,9 +129,9 @@ class _PublishTimes:
         # A store that was not read for the message may have its publish time already.
         for store in dict.fromkeys([*row.stores, *self._finders]):
             finder = {store: self._finders[store]} if store in self._finders else {}
-            for found in self._answer.each(
-                finder, lambda each: each.of(row, row.received)
+            for publish_time in self._answer.each(
+                finder, lambda store_finder: store_finder.of(row, row.received)
             ).values():
-                if any(found):
-                    return found
+                if any(publish_time):
+                    return publish_time
         return 0, 0

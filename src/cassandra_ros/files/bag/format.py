@@ -140,9 +140,9 @@ def read_record(file: BinaryIO, op: int, where: str) -> BagRecord:
     """
     start = file.tell()
     fields = read_header(file, where)
-    found = number(fields, b"op", where)
-    if found != op:
-        raise BagError(f"{where} is damaged: at byte {start} stands a record of kind {found}")
+    kind = number(fields, b"op", where)
+    if kind != op:
+        raise BagError(f"{where} is damaged: at byte {start} stands a record of kind {kind}")
     data_bytes = _length(file, where)
     return BagRecord(fields, file.tell(), data_bytes)
 
@@ -238,8 +238,8 @@ def _pieces(name: str, data: bytes) -> Iterator[bytes]:
         unpacker = lz4.frame.LZ4FrameDecompressor()
     else:
         unpacker = bz2.BZ2Decompressor()
-    for part in parts:
-        yield unpacker.decompress(part, _PIECE_BYTES)
+    for packed in parts:
+        yield unpacker.decompress(packed, _PIECE_BYTES)
         while not (unpacker.needs_input or unpacker.eof):
             yield unpacker.decompress(b"", _PIECE_BYTES)
 
@@ -358,7 +358,7 @@ def find_messages(
         if messages is not None:
             count(len(offsets))
             return messages
-    found = array("q")  # four numbers for each message; a chunk may hold millions of messages
+    numbers = array("q")  # four numbers for each message; a chunk may hold millions of messages
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
     (read, head, middle), other = _PYTHON, _CPP
@@ -380,12 +380,12 @@ def find_messages(
                 stop = start + size
                 if stop > end or t_ns > MAX_NS:
                     raise BagError(f"{where} is damaged: a message at byte {position} of it")
-                found.extend((file_id, t_ns, start, stop))
+                numbers.extend((file_id, t_ns, start, stop))
                 position = stop
                 continue
-        position = _other_record(content, position, where, found)
+        position = _other_record(content, position, where, numbers)
     count(records)
-    columns = np.frombuffer(found, np.int64).reshape(-1, _COLUMNS).T if found else _NOTHING
+    columns = np.frombuffer(numbers, np.int64).reshape(-1, _COLUMNS).T if numbers else _NOTHING
     return ChunkMessages(*columns)
 
 
@@ -423,11 +423,11 @@ def _fill(content: bytes, where: str, begins: Longs, ends: Longs, count: CountRe
     return True
 
 
-def _other_record(content: bytes, position: int, where: str, found: array[int]) -> int:
+def _other_record(content: bytes, position: int, where: str, numbers: array[int]) -> int:
     """Read a connection record, or a message in another layout; return the offset of its end."""
     op, fields, start, stop = record_at(content, position, where)
     if op == OP_MESSAGE:
-        found.extend((*message_of(fields, where), start, stop))
+        numbers.extend((*message_of(fields, where), start, stop))
     elif op != OP_CONNECTION:
         # Connection records are skipped: the index at the end of the bag repeats them.
         place = f"{where} (byte {position} of its content)"

@@ -110,8 +110,8 @@ def _sent(times: PublishTimes | None) -> bytes:
 
 
 def _update(digest: hashlib._Hash, parts: Iterable[_HashInput]) -> None:
-    for part in parts:
-        digest.update(part)
+    for data in parts:
+        digest.update(data)
 
 
 def _parts(
@@ -140,7 +140,7 @@ def _parts_at_once(
         view = memoryview(content)
         spans = zip(messages.starts.tolist(), messages.stops.tolist())
         data = [view[start:stop] for start, stop in spans]
-        return [part for each in zip(map(bytes, heads), data) for part in each]
+        return [head_or_data for pair in zip(map(bytes, heads), data) for head_or_data in pair]
     # Small messages are joined, because each update of the hash costs as much as hashing some
     # hundred bytes. The head is written over the end of the record's header, which is longer.
     changed = np.frombuffer(content, np.uint8)[first:last].copy()
@@ -199,9 +199,9 @@ def runs_meant(runs: Sequence[Run], name: str) -> list[Run]:
     These are the runs whose source is this file. If no run has it and no such file exists here,
     they are the runs with this name or writer id.
     """
-    found = runs_of_file(runs, name)
-    if found or os.path.isfile(name):
-        return found
+    file_runs = runs_of_file(runs, name)
+    if file_runs or os.path.isfile(name):
+        return file_runs
     return [run for run in runs if name and name in (run.name, str(run.writer))]
 
 

@@ -274,7 +274,7 @@ def import_bag(
             limits=limits,
             connections=[*wanted.values()],
         ) as writer:
-            handles = {n: _connect(writer, asked) for n, asked in wanted.items()}
+            handles = {n: _connect(writer, wish) for n, wish in wanted.items()}
             _name_topics(handles, report)
             if is_repeated:
                 _remove_other_blocks(keyspace, handles, run)
@@ -283,7 +283,9 @@ def import_bag(
             others = {topic: n for topic, n in run.lost.items() if topic not in chosen}
             writer.close(lost={**others, **report.lost})
             if _tell_hidden(writer.stats(), report):
-                stored = {topic: each.messages for topic, each in report.topics.items()}
+                stored = {
+                    topic: topic_report.messages for topic, topic_report in report.topics.items()
+                }
                 lost = {**others, **report.lost}
                 keyspace.registry.put_run(replace(run, stored={**run.stored, **stored}, lost=lost))
         _store_events(keyspace.events, reader, run, report)
@@ -292,7 +294,9 @@ def import_bag(
 
 def _tell_hidden(stats: Mapping[str, WriteStats], report: ImportReport) -> bool:
     """Count as lost what was stored and cannot be read; return whether there is anything of it."""
-    hidden = {topic: part.hidden for topic, part in stats.items() if part.hidden}
+    hidden = {
+        topic: topic_stats.hidden for topic, topic_stats in stats.items() if topic_stats.hidden
+    }
     for topic, count in hidden.items():
         report.topics[topic].messages -= count
         report.lost[topic] = report.lost.get(topic, 0) + count
@@ -327,14 +331,14 @@ def _is_stored(events: Events, event: Event) -> bool:
         return False
 
 
-def _connect(writer: MessageWriter, asked: Asked) -> Handle:
+def _connect(writer: MessageWriter, wish: Asked) -> Handle:
     """Return the handle with which the writer writes messages of a connection of the bag."""
     return writer.connect(
-        asked.connection,
-        asked.bucket_ns,
-        span_ns=asked.span_ns,
-        large=asked.large,
-        format=asked.format,
+        wish.connection,
+        wish.bucket_ns,
+        span_ns=wish.span_ns,
+        large=wish.large,
+        format=wish.format,
     )
 
 
@@ -444,9 +448,9 @@ def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int,
     need not be looked for.
     """
     runs = {run.writer: run for run in keyspace.registry.runs() if run.node == node}
-    known = next(filter(content.is_of, runs.values()), None)
-    if known is not None:
-        return known.writer, known
+    earlier = next(filter(content.is_of, runs.values()), None)
+    if earlier is not None:
+        return earlier.writer, earlier
     writer_id = content.writer_id(node)
     while writer_id in runs:  # 31 bits may agree with those of another bag by chance
         writer_id = writer_id % MAX_WRITER + 1

@@ -128,10 +128,10 @@ def _md5sum(type_name: str, definition: bytes) -> str:
     text = definition.decode("utf-8", "surrogateescape")
     try:
         # A writer may leave out the definition. Then the installed type is the best guess.
-        known = (
+        parsed = (
             parse_definition(type_name, text) if text.strip() else installed_definition(type_name)
         )
-        return known.md5sum
+        return parsed.md5sum
     except CassandraRosError:
         return ANY_MD5  # the md5sum of a subscriber that accepts any type
 

@@ -169,10 +169,10 @@ def check_summary(file: BinaryIO, footer: McapRecord, path: str) -> None:
         return
     # A damaged summary_start may be larger than the file, or too large for seek.
     file.seek(min(fields.summary_start or footer.start - RECORD.size, footer.stop))
-    crc, left = 0, footer.start + _FOOTER_BYTES - _CRC_BYTES - file.tell()
-    while left > 0:
-        part = file.read(min(left, _READ_BYTES))
-        crc, left = zlib.crc32(part, crc), left - len(part)
+    crc, remaining = 0, footer.start + _FOOTER_BYTES - _CRC_BYTES - file.tell()
+    while remaining > 0:
+        data = file.read(min(remaining, _READ_BYTES))
+        crc, remaining = zlib.crc32(data, crc), remaining - len(data)
     if crc != fields.summary_crc:
         raise BagError(
             f"{path} is damaged: the crc of its summary is wrong; write the file anew with: "
@@ -305,14 +305,14 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
 
     Return None if an index is damaged. The messages can be found without it.
     """
-    found: list[Longs] = [np.zeros(0, np.int64)]
+    offsets_by_index: list[Longs] = [np.zeros(0, np.int64)]
     with suppress(BagError, ValueError, struct.error):
         for record in records_of(raw, ""):
             _, index_bytes = INDEX.unpack_from(raw, record.start)
             count = index_bytes // ENTRY_BYTES * 2
             entries = np.frombuffer(raw, "<u8", count, record.start + INDEX.size)
-            found.append(entries[1::2].astype(np.int64))
-        return np.sort(np.concatenate(found))
+            offsets_by_index.append(entries[1::2].astype(np.int64))
+        return np.sort(np.concatenate(offsets_by_index))
     return None
 
 
@@ -334,7 +334,7 @@ def _messages_at(
         return None
     gaps = np.flatnonzero(begins != ends).tolist()
     parts = (content[ends[gap] : begins[gap]] for gap in gaps)
-    if not all(_without_message(part, where, count) for part in parts):
+    if not all(_without_message(gap_bytes, where, count) for gap_bytes in parts):
         return None
     channels, sequences = heads["channel"].astype(np.int64), heads["sequence"].astype(np.int64)
     times, sent = heads["time"].astype(np.int64), heads["sent"].astype(np.int64)
@@ -373,7 +373,7 @@ def find_messages(
         if indexed is not None:
             count(len(offsets))
             return indexed
-    found = array("q")  # six numbers for each message
+    numbers = array("q")  # six numbers for each message
     position, end, last = 0, len(content), len(content) - MESSAGE.size
     read, size = MESSAGE.unpack_from, MESSAGE.size
     records = 0
@@ -392,10 +392,10 @@ def find_messages(
             raise BagError(f"{where} is damaged: a message at byte {position} of it")
         delay_ns = (sent_ns - t_ns + _HALF) % (2 * _HALF) - _HALF
         time_ns = t_ns if t_ns <= MAX_NS else TOO_LATE
-        found.extend((channel, sequence, time_ns, delay_ns, position + size, stop))
+        numbers.extend((channel, sequence, time_ns, delay_ns, position + size, stop))
         position = stop
     count(records)
     columns = len(Messages._fields)
-    if not found:
+    if not numbers:
         return Messages(*np.zeros((columns, 0), np.int64))
-    return Messages(*np.frombuffer(found, np.int64).reshape(-1, columns).T)
+    return Messages(*np.frombuffer(numbers, np.int64).reshape(-1, columns).T)

@@ -184,16 +184,16 @@ class McapReader(MessageFile):
             # A valid index is shorter than twice the content. A longer one would waste memory.
             if index is not None and index.stop - index.start <= 2 * len(content):
                 offsets = mcapformat.offsets_of_indexes(self._bytes(index))
-            found = self._find(chunk, content, offsets).in_time()
-            if Counter(found.channels.tolist()) != self._chunks[chunk].readable:
+            messages = self._find(chunk, content, offsets).in_time()
+            if Counter(messages.channels.tolist()) != self._chunks[chunk].readable:
                 raise BagError(
-                    f"{self._where(chunk)} is damaged: its {len(found.times)} messages are not "
+                    f"{self._where(chunk)} is damaged: its {len(messages.times)} messages are not "
                     "those that its message index lists; write the file anew with: "
                     f"mcap recover {self.path} -o RECOVERED.mcap"
                 )
-            known = np.isin(found.channels, list(self._numbers))
+            is_connected = np.isin(messages.channels, list(self._numbers))
             self._last = _ChunkContent(
-                chunk, content, Messages(*(column[known] for column in found))
+                chunk, content, Messages(*(column[is_connected] for column in messages))
             )
         return self._last.content, self._last.messages
 
@@ -263,10 +263,10 @@ class McapReader(MessageFile):
                 self._take(head, place, position)
                 where = f"in the chunk at byte {position} of {file_bytes}"
                 count = partial(self._allowance.records, f"{self.path} {where}")
-                part = mcapformat.unpack_part(head, self._bytes(place), count)
-                entry = _Chunk(place, head, salvaged=part, records_counted=True)
+                records = mcapformat.unpack_part(head, self._bytes(place), count)
+                entry = _Chunk(place, head, salvaged=records, records_counted=True)
                 self._chunks.append(entry)
-                read = place.start + len(part) if head.compression == "none" else position
+                read = place.start + len(records) if head.compression == "none" else position
                 self.salvaged.end(f"is cut short or damaged {where}", file_bytes - read)
 
     def _check_chunks(self) -> None:
@@ -278,7 +278,7 @@ class McapReader(MessageFile):
         file_bytes = os.fstat(self._file.fileno()).st_size
         for place, chunk in enumerate(self._chunks):
             try:
-                found = self._find(place, self._content(place)).in_time()
+                messages = self._find(place, self._content(place)).in_time()
             except BagError as exc:
                 begin, end = chunk.record.start, chunk.record.stop
                 why = f"is damaged in the chunk at byte {begin} of {file_bytes}"
@@ -289,7 +289,7 @@ class McapReader(MessageFile):
                 self._stated = None
                 continue
             if chunk.counts:  # without an index they are counted with their times later
-                chunk.counts = Counter(found.channels.tolist())
+                chunk.counts = Counter(messages.channels.tolist())
 
     def _note(self, record: McapRecord) -> None:
         """Take a record outside of chunks into the index."""
@@ -395,16 +395,16 @@ class McapReader(MessageFile):
             if chunk.damaged or chunk.counted and all(map(self._is_known, chunk.counts)):
                 continue
             content, where = self._content(place), self._where(place)
-            found = self._find(place, content)
+            messages = self._find(place, content)
             for record in mcapformat.records_of(content, where):
                 if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._note_text(record.kind, content[record.start : record.stop], where)
             if not chunk.counted:
-                self._late.update(found.channels[found.times == mcapformat.TOO_LATE].tolist())
-                found = found.in_time()
-                chunk.counts = Counter(found.channels.tolist())
-                if len(found.times):
-                    ends = int(found.times.min()), int(found.times.max())
+                self._late.update(messages.channels[messages.times == mcapformat.TOO_LATE].tolist())
+                messages = messages.in_time()
+                chunk.counts = Counter(messages.channels.tolist())
+                if len(messages.times):
+                    ends = int(messages.times.min()), int(messages.times.max())
                     chunk.head = chunk.head._replace(start_ns=ends[0], end_ns=ends[1])
             missing = [c for c in (*chunk.counts, *self._late) if c not in self._channels]
             if missing:
@@ -426,10 +426,11 @@ class McapReader(MessageFile):
         totals: Counter[int] = Counter()
         for chunk in self._chunks:
             totals.update(chunk.counts)
-        found = sum(totals.values()) + sum(self._late.values())
-        if self._stated not in (None, found):
+        message_count = sum(totals.values()) + sum(self._late.values())
+        if self._stated not in (None, message_count):
             why = (
-                f"is damaged: of the {self._stated} messages that it should hold {found} are found"
+                f"is damaged: of the {self._stated} messages that it should hold {message_count} "
+                "are found"
             )
             if not self._salvages:
                 raise BagError(f"{self.path} {why}")
@@ -461,7 +462,7 @@ class McapReader(MessageFile):
         if len({connection.number for connection, _ in kept}) < len(kept):
             # Each of several exports that were merged has its own numbers; channel ids are unique.
             kept = [(replace(connection, number=number), number) for connection, number in kept]
-        kept.sort(key=lambda each: each[0].number)
+        kept.sort(key=lambda pair: pair[0].number)
         self._numbers = {channel_id: connection.number for connection, channel_id in kept}
         self.connections = {connection.number: connection for connection, _ in kept}
         lost: Counter[int] = Counter()
@@ -471,8 +472,10 @@ class McapReader(MessageFile):
         self.counts = Counter({n: totals[c] - lost[c] for c, n in self._numbers.items()})
         self.salvaged.missing = sum(lost[c] for c in self._numbers)
         self.chunk_count, self.message_count = len(self._chunks), sum(self.counts.values())
-        each = [sum(n for c, n in k.counts.items() if c in self._numbers) for k in self._chunks]
-        self._first = [0, *np.cumsum(each).tolist()]
+        chunk_counts = [
+            sum(n for c, n in k.counts.items() if c in self._numbers) for k in self._chunks
+        ]
+        self._first = [0, *np.cumsum(chunk_counts).tolist()]
         self.start_ns = min((chunk.head.start_ns for chunk in self._chunks), default=0)
         self.end_ns = max((chunk.head.end_ns for chunk in self._chunks), default=0)
 

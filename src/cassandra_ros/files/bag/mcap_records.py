@@ -114,14 +114,14 @@ def chunk_content(raw: bytes) -> tuple[bytes, int]:
 
 def read_metadata(raw: bytes, where: str) -> tuple[str, Mapping[str, str]]:
     """Read name and fields of a metadata record; raises BagError."""
-    found = parse(Metadata, raw, where)
-    return found.name, found.metadata
+    record = parse(Metadata, raw, where)
+    return record.name, record.metadata
 
 
 def read_channels(content: bytes, where: str) -> dict[int, Connection]:
     """Return the connections at the beginning of a chunk by channel id; raises BagError."""
     schemas: dict[int, Schema] = {}
-    found: dict[int, Connection] = {}
+    connections: dict[int, Connection] = {}
     for record in records_of(content, where):
         raw = content[record.start : record.stop]
         if record.kind == Opcode.SCHEMA:
@@ -130,10 +130,10 @@ def read_channels(content: bytes, where: str) -> dict[int, Connection]:
         elif record.kind == Opcode.CHANNEL:
             described = parse(Channel, raw, where)
             connection = unchecked_connection(described, schemas.get(described.schema_id), where)
-            found[described.id] = Connection(connection.topic, connection.header)
+            connections[described.id] = Connection(connection.topic, connection.header)
         else:
             break
-    return found
+    return connections
 
 
 def is_plausible(kind: int, length: int, raw: bytes, after: int) -> bool:

@@ -59,8 +59,8 @@ class McapWriter(FileWriter):
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
         if compression not in _COMPRESSIONS:
-            known = ", ".join(_COMPRESSIONS)
-            raise BagError(f"{compression!r} is not a compression of MCAP; known are {known}")
+            names = ", ".join(_COMPRESSIONS)
+            raise BagError(f"{compression!r} is not a compression of MCAP; known are {names}")
         super().__init__(path)
         self._registered = _RegisteredIds({}, {})
         self._writer = Writer(self._file, chunk_bytes, _COMPRESSIONS[compression])

@@ -221,13 +221,13 @@ class SalvageReport:
         """Return a sentence about the damage and what can be read; '' if nothing is damaged."""
         if not self.why:
             return ""
-        left, where = "no message that the file holds is lost", "up to there"
+        loss, where = "no message that the file holds is lost", "up to there"
         if self.lost_bytes:
-            left = f"at most {self.lost_bytes} bytes after them are lost"
+            loss = f"at most {self.lost_bytes} bytes after them are lost"
         if self.behind:
-            left = f"{self.missing or f'at most {self.lost_bytes} bytes'} are lost"
+            loss = f"{self.missing or f'at most {self.lost_bytes} bytes'} are lost"
             where = "before and after the damage"
-        return f"{path} {self.why}: {self.messages} messages {where} are read, {left}"
+        return f"{path} {self.why}: {self.messages} messages {where} are read, {loss}"
 
 
 class MessageFile(ABC):

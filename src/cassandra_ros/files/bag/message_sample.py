@@ -26,7 +26,7 @@ class MessageSample:
     @property
     def connections(self) -> list[Connection]:
         """The connections, sorted by their number in the bag."""
-        return sorted(self.found.values(), key=lambda each: each.number)
+        return sorted(self.found.values(), key=lambda connection: connection.number)
 
     @property
     def frequency(self) -> float | None:

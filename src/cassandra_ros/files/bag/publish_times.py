@@ -96,8 +96,8 @@ def _stripes(reader: MessageFile) -> Iterator[tuple[int, SendTimes]]:
                     yield number, stripe
                 number, stripe = target, _nothing()
             count = min(STRIPE - place, len(times.delays) - taken)
-            for whole, part in zip(stripe, (times.delays, times.sequences)):
-                whole[place : place + count] = part[taken : taken + count]
+            for whole, column in zip(stripe, (times.delays, times.sequences)):
+                whole[place : place + count] = column[taken : taken + count]
             taken += count
     if stripe.delays.any() or stripe.sequences.any():
         yield number, stripe

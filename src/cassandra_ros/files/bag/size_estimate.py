@@ -100,11 +100,13 @@ def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) ->
     samples: dict[tuple[str, Kind], TopicSample] = {}
     of: dict[int, TopicSample] = {}
     for number in sorted(numbers):
-        found = reader.connections[number]
-        key = (found.topic, connection_kind(found))
+        connection = reader.connections[number]
+        key = (connection.topic, connection_kind(connection))
         if key not in samples:
-            definition = _usable(found.type, found.definition_text, found.md5sum)
-            samples[key] = TopicSample(found.topic, found.type, found.md5sum, definition)
+            definition = _usable(connection.type, connection.definition_text, connection.md5sum)
+            samples[key] = TopicSample(
+                connection.topic, connection.type, connection.md5sum, definition
+            )
         of[number] = samples[key]
         of[number].count += reader.counts[number]
     for sample in samples.values():

@@ -416,8 +416,8 @@ class Bag:
         named = {table.name: topic.name for topic in topics for table in topic.tables}
         passing = {
             (table, conn)
-            for table, conn, each in self._connections(topics)
-            if test(*_described(0, named[table], each)[1:])
+            for table, conn, connection in self._connections(topics)
+            if test(*_described(0, named[table], connection)[1:])
         }
         tables = {table for table, _ in passing}
         return [t for t in topics if any(table.name in tables for table in t.tables)], passing
@@ -440,23 +440,25 @@ class Bag:
             topics, connection_filter: As in read_messages.
         """
         self.flush()
-        held = sorted(self._held(self._topics(topics)), key=lambda each: each[1].number)
+        held = sorted(self._held(self._topics(topics)), key=lambda pair: pair[1].number)
         numbers = [connection.number for _, connection in held]
-        known = len(set(numbers)) == len(numbers) and min(numbers, default=0) >= 0
+        are_unique = len(set(numbers)) == len(numbers) and min(numbers, default=0) >= 0
         for place, (topic, connection) in enumerate(held):
-            one = _described(connection.number if known else place, topic, connection)
+            one = _described(connection.number if are_unique else place, topic, connection)
             if connection_filter is None or connection_filter(*one[1:]):
                 yield one
 
     def _held(self, topics: Iterable[CassandraTopic]) -> Iterator[tuple[str, Connection]]:
         """Yield the connections that have messages in the bag, with the names of their topics."""
         for topic in topics:
-            missing = {(table, conn): each for table, conn, each in self._connections([topic])}
+            missing = {
+                (table, conn): connection for table, conn, connection in self._connections([topic])
+            }
             rows = topic.rows(nodeID=self._node, run=self._run, columns=lambda table: ())
             for row in rows:
-                found = missing.pop((row.table.name, row.conn), None)
-                if found is not None:
-                    yield topic.name, found
+                connection = missing.pop((row.table.name, row.conn), None)
+                if connection is not None:
+                    yield topic.name, connection
                 if not missing:
                     break
 
@@ -517,7 +519,9 @@ class Bag:
             stored = (
                 self._store.catalog.keyspace.connections.of_tables(held) if self._before else ()
             )
-            self._numbers = count(max((each.number for _, _, each in stored), default=-1) + 1)
+            self._numbers = count(
+                max((connection.number for _, _, connection in stored), default=-1) + 1
+            )
         return next(self._numbers)
 
     def get_message_count(self, topic_filters: TopicNames = None) -> int:
@@ -559,11 +563,11 @@ class Bag:
         counts = self._counts()
         known_topics = {topic.name: topic for topic in self._topics(None) if topic.name in counts}
         filters = list(known_topics) if topic_filters is None else topic_filters
-        asked = {
+        names_of = {
             name: [topic.name for topic in topics if topic.name in counts]
             for name, topics in self._by_name(filters).items()
         }
-        sampled = {name for names in asked.values() for name in names}
+        sampled = {name for names in names_of.values() for name in names}
         named = {table.name: name for name, topic in known_topics.items() for table in topic.tables}
         stored: dict[str, list[Connection]] = {}
         for table, _, connection in self._connections(list(known_topics.values())):
@@ -572,24 +576,27 @@ class Bag:
         samples: dict[str, MessageSample] = {}
         for name, topic in known_topics.items():
             connections = stored.get(name, [])
-            if name in sampled or len({(each.type, each.md5sum) for each in connections}) != 1:
+            if (
+                name in sampled
+                or len({(connection.type, connection.md5sum) for connection in connections}) != 1
+            ):
                 samples[name] = join_samples(
                     read_samples(topic, MOST_STAMPS, self._node, self._run).values()
                 )
                 connections = samples[name].connections
             used += connections
         topics: dict[str, TopicTuple] = {}
-        for name, found in sorted(asked.items()):
-            whole = join_samples(samples[topic] for topic in found)
-            if found:
+        for name, topic_names in sorted(names_of.items()):
+            whole = join_samples(samples[topic] for topic in topic_names)
+            if topic_names:
                 topics[name] = TopicTuple(
                     whole.connections[0].type,
-                    sum(counts[topic] for topic in found),
+                    sum(counts[topic] for topic in topic_names),
                     len(whole.connections),
                     whole.frequency,
                 )
         types: dict[str, str] = {}
-        for connection in sorted(used, key=lambda each: each.number):
+        for connection in sorted(used, key=lambda connection: connection.number):
             types.setdefault(connection.type, connection.md5sum)
         return TypesAndTopicsTuple(dict(sorted(types.items())), topics)
 
@@ -640,12 +647,18 @@ class Bag:
         for info in self._infos():
             if info.first_ns is not None and info.last_ns is not None:
                 times += [info.first_ns, info.last_ns]
-        own = [t.name for t in self._topics(None) if any(e.metadata.own_time for e in t.tables)]
-        if own:  # the keys of these topics are not receive times, so all their rows are read
-            timed = [t.name for t in self._topics(None) if t.name not in own]
+        own_time_topics = [
+            t.name for t in self._topics(None) if any(e.metadata.own_time for e in t.tables)
+        ]
+        if own_time_topics:
+            # The keys of these topics are not receive times, so all their rows are read.
+            timed = [t.name for t in self._topics(None) if t.name not in own_time_topics]
             times = [ns for i in self._infos(timed) for ns in (i.first_ns or 0, i.last_ns or 0)]
-            rows = (self._store.getTopic(n).rows(run=self._run, nodeID=self._node) for n in own)
-            times += [row.received for each in rows for row in each]
+            rows = (
+                self._store.getTopic(n).rows(run=self._run, nodeID=self._node)
+                for n in own_time_topics
+            )
+            times += [row.received for topic_rows in rows for row in topic_rows]
         if not times:
             raise bag_error(f"Bag contains no message: {self.filename}")
         return min(times), max(times)

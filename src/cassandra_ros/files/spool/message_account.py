@@ -36,7 +36,7 @@ class MessageAccount:
     def parts(self, reader: SegmentReader) -> Iterator[SegmentPart]:
         """Yield the parts of the next file with messages, and what is missing before and in it."""
         number = int(reader.path.stem)
-        settled = [each for each in range(self._file + 1, number) if each in self._settled]
+        settled = [earlier for earlier in range(self._file + 1, number) if earlier in self._settled]
         if settled:
             self._file = settled[-1]
             self._count = _Count(self._settled[self._file])
@@ -103,13 +103,13 @@ class _Count:
 
     def parts(self, reader: SegmentReader) -> Iterator[SegmentPart]:
         """Yield the parts of a file with messages, and what is missing."""
-        for part in reader.parts():
-            if part.totals is not None:
-                yield from self._compare(part.totals)
+        for segment_part in reader.parts():
+            if segment_part.totals is not None:
+                yield from self._compare(segment_part.totals)
                 continue
-            if part.damage:
-                self.note(part.damage)
-            for missing in part.missing:
+            if segment_part.damage:
+                self.note(segment_part.damage)
+            for missing in segment_part.missing:
                 if missing.topic:
                     total = self._listed.setdefault(missing.topic, TopicTotal())
                     total.add(missing.messages, missing.first_ns, missing.last_ns)
@@ -117,9 +117,9 @@ class _Count:
                     self._is_listed = False
             if self.totals is None:
                 self.totals = {}
-            for connection, t_ns, _, _ in part.messages:
+            for connection, t_ns, _, _ in segment_part.messages:
                 self.totals.setdefault(connection.topic, TopicTotal()).add(1, t_ns, t_ns)
-            yield SegmentPart(part.messages, part.damage)
+            yield SegmentPart(segment_part.messages, segment_part.damage)
         self._path = reader.path
 
     def _compare(self, totals: Totals) -> Iterator[SegmentPart]:
@@ -131,7 +131,7 @@ class _Count:
                 self._range(topic, total, self.totals.get(topic, TopicTotal()))
                 for topic, total in totals.items()
             ]
-            yield from self._tell([each for each in missing if each.messages > 0])
+            yield from self._tell([loss for loss in missing if loss.messages > 0])
         self.totals = _copy(totals)
         self._forget()
 

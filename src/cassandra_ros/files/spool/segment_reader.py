@@ -180,7 +180,7 @@ class SegmentReader:
     def _is_of(self, listed: mcap_records.IndexedMessages, whole: SegmentPart) -> bool:
         """Return whether an index is one of a chunk that was read, though others are damaged."""
         connection = self._connection(listed.channel)
-        return [t for each, t, _, _ in whole.messages if each is connection] == list(listed.times)
+        return [t for other, t, _, _ in whole.messages if other is connection] == list(listed.times)
 
     def _told(self, damage: _SegmentDamage) -> SegmentPart:
         totals: defaultdict[str, TopicTotal] = defaultdict(TopicTotal)
@@ -201,7 +201,7 @@ class SegmentReader:
             return None
         try:
             self._take_connections(content, where)
-            columns = [each.tolist() for each in find_messages(content, where)]
+            columns = [column.tolist() for column in find_messages(content, where)]
         except BagError:  # right checksum, but not written by us
             return None
         lost: defaultdict[int, TopicTotal] = defaultdict(TopicTotal)

@@ -107,8 +107,12 @@ class SegmentWriter:
 
     def append(self, messages: Iterable[SpooledMessage]) -> None:
         """Append messages as one chunk. After an OSError the file is as it was before."""
-        due = [each for each in self._definitions if each.due <= self.size]
-        parts = [record for each in due for record in each.records]
+        due = [
+            definition_set
+            for definition_set in self._definitions
+            if definition_set.due <= self.size
+        ]
+        parts = [record for definition_set in due for record in definition_set.records]
         fresh: list[bytes] = []
         at = sum(map(len, parts))
         first, last = 2**63, 0
@@ -126,30 +130,33 @@ class SegmentWriter:
             parts.append(wire)
             at += len(parts[-2]) + len(wire)
             first, last = min(first, t_ns), max(last, t_ns)
-        for number, each in entries.items():
-            times = each[::2]
+        for number, times_and_offsets in entries.items():
+            times = times_and_offsets[::2]
             total = added.setdefault(self._topics[number - 1], TopicTotal())
             total.add(len(times), min(times), max(times))
         if fresh:
             shift = sum(map(len, fresh))
             parts[:0] = fresh
             at += shift
-            for each in entries.values():
-                each[1::2] = [offset + shift for offset in each[1::2]]
+            for times_and_offsets in entries.values():
+                times_and_offsets[1::2] = [offset + shift for offset in times_and_offsets[1::2]]
             # Also when the chunk cannot be written: the next one has them then.
             self._definitions.append(_Definitions(fresh))
             self._definition_bytes += shift
             due.append(self._definitions[-1])
         content = b"".join(parts)
         chunk = mcap_records.chunk([content], at, (first, last), crc32(content))
-        indexes = [mcap_records.index(number, each) for number, each in entries.items()]
-        told = []
+        indexes = [
+            mcap_records.index(number, times_and_offsets)
+            for number, times_and_offsets in entries.items()
+        ]
+        totals_records = []
         if self.size + at >= self._totals_due:
-            told.append(_record_of(_sum(self._totals, added)))
-        self._write([*chunk, *indexes, *told])
+            totals_records.append(_record_of(_sum(self._totals, added)))
+        self._write([*chunk, *indexes, *totals_records])
         _add(self._totals, added)
-        if told:
-            self._totals_due = self.size + TOTALS_SHARE * len(told[0])
+        if totals_records:
+            self._totals_due = self.size + TOTALS_SHARE * len(totals_records[0])
         for definitions in due:
             definitions.repeated(self.size, max(REPEAT_BYTES, 2 * self._definition_bytes))
 

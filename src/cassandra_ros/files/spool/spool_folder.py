@@ -46,7 +46,7 @@ class RunFolder:
     def __init__(self, path: Path, lock: int) -> None:
         self.path = path
         self._lock = lock
-        self._next = 1 + max((int(each.stem) for each in self.files()), default=0)
+        self._next = 1 + max((int(file.stem) for file in self.files()), default=0)
         self._unnoted: list[str] = []
         """Lines that no disk has taken yet."""
 
@@ -57,7 +57,7 @@ class RunFolder:
     def is_empty(self) -> bool:
         """Return whether it has no file with messages; False if it cannot be read."""
         try:
-            return not any(each.suffix == _SUFFIX for each in self.path.iterdir())
+            return not any(path.suffix == _SUFFIX for path in self.path.iterdir())
         except OSError:
             return False
 
@@ -180,8 +180,8 @@ class SpoolFolder:
     def runs(self) -> list[Path]:
         """Return the folders of all runs, also of those that are recorded now; oldest first."""
         try:
-            found = [each for each in self.path.iterdir() if each.name.isdigit()]
-            return sorted(found, key=lambda path: path.stat().st_ctime)
+            folders = [folder for folder in self.path.iterdir() if folder.name.isdigit()]
+            return sorted(folders, key=lambda path: path.stat().st_ctime)
         except OSError:
             return []
 
@@ -193,19 +193,19 @@ class SpoolFolder:
 def run_bytes(path: Path) -> int:
     """Return the size of the files of a run, bytes."""
     total = 0
-    for each in run_files(path):
+    for file in run_files(path):
         with suppress(OSError):
-            total += each.stat().st_size
+            total += file.stat().st_size
     return total
 
 
 def run_files(path: Path) -> list[Path]:
     """Return the files of a run with messages, in the order in which they were written."""
     try:
-        found = [e for e in path.iterdir() if e.suffix == _SUFFIX and e.stem.isdigit()]
+        files = [e for e in path.iterdir() if e.suffix == _SUFFIX and e.stem.isdigit()]
     except OSError:
         return []
-    return sorted(found, key=lambda each: int(each.stem))
+    return sorted(files, key=lambda file: int(file.stem))
 
 
 def _locked(path: Path) -> int | None:

@@ -121,4 +121,6 @@ def from_metadata(kind: type[_T], metadata: Mapping[str, str], where: str) -> _T
             f"{where} has version {values['version']}; this release of cassandra_ros reads "
             f"versions up to {VERSION}: install a newer one to store its messages"
         )
-    return kind(**{each.name: values[each.name] for each in fields(kind) if each.name in values})
+    return kind(
+        **{member.name: values[member.name] for member in fields(kind) if member.name in values}
+    )
