@@ -258,10 +258,10 @@ class Backlog:
         sources: dict[int, MessageSource] = {}
         high, why = segment.generation << COUNTER_BITS, ""
         try:
-            for part in SegmentReader(segment.path).parts():
-                why = why or part.damage
+            for segment_part in SegmentReader(segment.path).parts():
+                why = why or segment_part.damage
                 items: list[BufferedMessage] = []
-                for connection, t_ns, counter, wire in part.messages:
+                for connection, t_ns, counter, wire in segment_part.messages:
                     source = sources.get(id(connection))
                     if source is None:
                         source = sources[id(connection)] = self._source_of(connection)
@@ -547,7 +547,7 @@ class Backlog:
             if not self._messages:
                 return OnDisk()
             files = [self._oldest, *list(self._parked)[:1], self._open and self._open.segment]
-            times = [each.since for each in files if each is not None and not each.handed]
+            times = [file.since for file in files if file is not None and not file.handed]
             now = time.monotonic()
             return OnDisk(self._messages, self._nbytes, now - min(times, default=now))
 
@@ -594,7 +594,7 @@ class Backlog:
                 self._back += map(_spooled, items)
                 self._buffer.release_all(items)
             for generation in sorted({generation for generation, _ in self._back}):
-                rows = [row for each, row in self._back if each == generation]
+                rows = [row for row_generation, row in self._back if row_generation == generation]
                 for first in range(0, len(rows), CHUNK_MESSAGES):
                     self._keep_rows(generation, rows[first : first + CHUNK_MESSAGES])
             self._back.clear()

@@ -51,16 +51,16 @@ def plan_topics(
     for topic, msg_type in sorted(types.items()):
         topic_settings = settings.of(topic)
         fmt = catalog.keyspace.new_tables.format_for(topic, format=topic_settings.format)
-        own = [m for m in tables if m.topic == topic and m.format == fmt]
+        stored = [m for m in tables if m.topic == topic and m.format == fmt]
         plan.append(
             PlannedTopic(
                 topic,
                 msg_type,
                 fmt,
-                own[0].ttl if own else topic_settings.ttl,
-                bool(own),
+                stored[0].ttl if stored else topic_settings.ttl,
+                bool(stored),
                 _described(topic_settings),
-                differences(topic_settings, own[0]) if own else [],
+                differences(topic_settings, stored[0]) if stored else [],
                 _problem(catalog, topic, msg_type, topic_settings.where)
                 if topic_settings.where
                 else "",

@@ -59,12 +59,12 @@ class EventWriter:
         if self._thread is not None:
             self._thread.join(END_SEC)
         with self._changed:
-            left, self._waiting = self._waiting, {}
-        if left or self._lost:
-            names = ", ".join(sorted({event.name for event in left.values()}))
+            events, self._waiting = self._waiting, {}
+        if events or self._lost:
+            names = ", ".join(sorted({event.name for event in events.values()}))
             _log.error(
                 "%d events are not stored, for the store did not take them: %s",
-                len(left) + self._lost,
+                len(events) + self._lost,
                 names or "more than wait in memory",
             )
 

@@ -82,12 +82,12 @@ class Filters:
             return self._topics.setdefault(topic, topic_filter)
 
     def _watches(self, topic: str) -> list[EventWatch]:
-        put, found = self._put, []
+        put, watches = self._put, []
         for rule in self._settings.events if put is not None else ():
             if topic in spellings(rule.topic) and put is not None:
                 condition = _TopicCondition(topic, rule.where, self._node, event=rule.name)
-                found.append(EventWatch(rule, condition.holds, self._node, put, self._writer))
-        return found
+                watches.append(EventWatch(rule, condition.holds, self._node, put, self._writer))
+        return watches
 
     def end_events(self) -> None:
         """End the events that last, because no more messages come."""

@@ -75,10 +75,10 @@ class LeftRuns:
         if folder.is_empty():
             folder.remove()  # killed before its first message
             return
-        left = read_left(folder)
-        problem = left.problem or self._foreign(left)
+        left_run = read_left(folder)
+        problem = left_run.problem or self._foreign(left_run)
         if problem:
-            _log.warning("run %s stays in the spool %s: %s", left.name, folder.path, problem)
+            _log.warning("run %s stays in the spool %s: %s", left_run.name, folder.path, problem)
             self._told.add(folder.path)
             return
         while not self._stopped.is_set() and not self._store.done():
@@ -87,7 +87,7 @@ class LeftRuns:
             if self._stopped.is_set() or not is_there(self._store):
                 return
             try:
-                drain = self._drain = Drain(self._store.result(), left)
+                drain = self._drain = Drain(self._store.result(), left_run)
                 done = drain.run()
                 for text in lines_of(done):
                     self._say(text)
@@ -95,17 +95,17 @@ class LeftRuns:
                     self._told.add(folder.path)
                 return
             except CassandraRosError as exc:
-                _log.warning("run %s stays in the spool for now: %s", left.name, exc)
+                _log.warning("run %s stays in the spool for now: %s", left_run.name, exc)
                 self._stopped.wait(RETRY_SEC)
 
-    def _foreign(self, left: LeftRun) -> str:
+    def _foreign(self, left_run: LeftRun) -> str:
         """Return why a run is not drained into this store; '' = it is."""
-        label, plan = left.label, self._plan
+        label, plan = left_run.label, self._plan
         if label is None or (label.keyspace, label.address) == (plan.keyspace, plan.address):
             return ""
         return (
             f"it belongs to keyspace {label.keyspace or '?'} at {label.address or '?'}; store it "
-            f"with: rosrun cassandra_ros cassandra_bag spool drain {left.folder.path.name}, or "
+            f"with: rosrun cassandra_ros cassandra_bag spool drain {left_run.folder.path.name}, or "
             "delete it with: spool drop"
         )
 

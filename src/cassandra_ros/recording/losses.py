@@ -114,7 +114,7 @@ class LossLog:
                 ranges.append(_LossRange(new))
             else:
                 loss_range.grow(messages, first_ns, last_ns)
-            return sum(each.count for each in totals.values())
+            return sum(loss_total.count for loss_total in totals.values())
 
     def of(self, topic: str) -> Mapping[LossKind, LossTotal]:
         """Return the lost messages of a topic by kind."""
@@ -125,7 +125,10 @@ class LossLog:
         """Return the time of reception of the last lost message of a topic, ns; -1 = no loss."""
         with self._mutex:
             losses = [
-                s.loss for (name, _), own in self._loss_ranges.items() if name == topic for s in own
+                s.loss
+                for (name, _), ranges in self._loss_ranges.items()
+                if name == topic
+                for s in ranges
             ]
         # Messages received while the clock was not set have no time.
         timed = (loss for loss in losses if loss.count and loss.kind is not LossKind.NO_CLOCK)

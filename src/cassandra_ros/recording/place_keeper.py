@@ -256,7 +256,7 @@ class PlaceKeeper:
             visits += self._visits(name, low, high)
             placed += self._placed(name, high)
         self._store.result().keyspace.place_index.put(visits, placed, self._ttl(moving))
-        self._said.update((each.table, each.robot) for each in placed)
+        self._said.update((poses.table, poses.robot) for poses in placed)
         self._noted, self._read_to = high, self._latest
 
     def _take_back(self, moving: Sequence[str]) -> None:
@@ -269,7 +269,9 @@ class PlaceKeeper:
             said = {robot for where, robot in self._said if where == table}
             if not said <= (index.noted(table, *self._whose) if said else set()):
                 self._first[name] = max(first, self._noted + 1)  # poses were deleted
-                self._said = {each for each in self._said if each[0] != table}
+                self._said = {
+                    table_and_robot for table_and_robot in self._said if table_and_robot[0] != table
+                }
             self._first[name] = max(self._first[name], lost + 1)
         if self._wrong:
             for table in {table for table, _ in self._said}:

@@ -490,7 +490,7 @@ class Recording:
     def _await_store(self) -> str:
         """Open the run as soon as the store answers; return why it cannot be opened, else ''."""
         started = time.monotonic()
-        told = started + NO_STORE_SEC - TELL_SEC
+        last_warning = started + NO_STORE_SEC - TELL_SEC
         while not self.opened:
             if self._is_too_late():
                 return NO_STORE
@@ -508,9 +508,11 @@ class Recording:
                 _log.exception("the run could not be opened in the store")
                 self.problem = _mistake(exc)
                 return self.problem
-            if time.monotonic() >= told + TELL_SEC and self._tell_of_waiting("no store yet"):
-                told = time.monotonic()
-        if told > started:
+            if time.monotonic() >= last_warning + TELL_SEC and self._tell_of_waiting(
+                "no store yet"
+            ):
+                last_warning = time.monotonic()
+        if last_warning > started:
             self._tell_of_waiting(f"the store answers after {time.monotonic() - started:.0f} s")
         if self._buffer.closed:  # the recording has ended while it waited
             self._hurry()
@@ -764,8 +766,8 @@ class Recording:
         reports = self.reports()
         end = RunEnd(
             time.time_ns(),
-            {each.topic: each.stored + each.waiting for each in reports},
-            {each.topic: each.lost for each in reports if each.lost},
+            {report.topic: report.stored + report.waiting for report in reports},
+            {report.topic: report.lost for report in reports if report.lost},
             [
                 (loss.topic, loss.kind.value, loss.first_ns, loss.last_ns, loss.count)
                 for loss in self._losses.unsaved()
@@ -774,7 +776,7 @@ class Recording:
         try:
             if self._backlog is not None:
                 self._backlog.finish(end)
-            self._counts.keep({each.topic: each.waiting for each in reports})
+            self._counts.keep({report.topic: report.waiting for report in reports})
         except (OSError, CassandraRosError) as exc:
             _log.error("the end of run %s cannot be written to the spool: %s", self.name, exc)
             self._settle()

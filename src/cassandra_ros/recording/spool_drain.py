@@ -137,24 +137,26 @@ class Drain:
 
     Args:
         catalog: The store.
-        left: The run.
+        left_run: The run.
     """
 
-    def __init__(self, catalog: Catalog, left: LeftRun) -> None:
-        if left.label is None:
-            raise SpoolError(f"the spool of run {left.name} cannot be drained: {left.problem}")
+    def __init__(self, catalog: Catalog, left_run: LeftRun) -> None:
+        if left_run.label is None:
+            raise SpoolError(
+                f"the spool of run {left_run.name} cannot be drained: {left_run.problem}"
+            )
         self._catalog, self._space = catalog, catalog.keyspace
-        self._left, self._label = left, left.label
-        self._settings: RecordingSettings = settings_from_json(left.label.settings)
+        self._left, self._label = left_run, left_run.label
+        self._settings: RecordingSettings = settings_from_json(left_run.label.settings)
         self._writers: dict[int, MessageWriter] = {}
         self._handles: dict[tuple[int, Connection], Handle] = {}
-        self._account = MessageAccount(left.folder)
+        self._account = MessageAccount(left_run.folder)
         self._read = _NumberRanges()
         """Numbers of the messages that were read, as in their rows."""
         self._missing: list[Missing] = []
         """Messages that the files miss, as far as they were read since the last ``_remember``."""
-        self._losses = LossLog(left.label.node, left.label.run)
-        self._done = Drained(left.name)
+        self._losses = LossLog(left_run.label.node, left_run.label.run)
+        self._done = Drained(left_run.name)
         self._silent = False
         self._refusals = 0
         """Number of messages of the present file that the store refused."""
@@ -189,8 +191,8 @@ class Drain:
                 elif path != files[-1]:
                     self._left.folder.settle(path, self._account.totals())
             if not self._done.stays:
-                for part in self._account.finish():
-                    self._note(part)
+                for missing_part in self._account.finish():
+                    self._note(missing_part)
                 self._remember()
                 self._end()
         finally:
@@ -231,8 +233,10 @@ class Drain:
             kept.unlink(missing_ok=True)
             segment = SegmentWriter(kept, reader.label() or self._label)
             try:
-                for part in reader.parts():
-                    rows = [row for row in part.messages if row[0].topic in self._done.stays]
+                for segment_part in reader.parts():
+                    rows = [
+                        row for row in segment_part.messages if row[0].topic in self._done.stays
+                    ]
                     if rows:
                         segment.append(rows)
                 if (end := reader.end()) is not None:
@@ -250,12 +254,12 @@ class Drain:
         """Store the messages of one file; return whether some of them stay in it."""
         reader = SegmentReader(path)
         writer = self._writer((reader.label() or self._label).writer)
-        totals, known = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
+        totals, stored_blocks = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
         handles: dict[int, Handle | None] = {}
         number, self._refusals = 0, 0
-        for part in self._account.parts(reader):
-            self._note(part)
-            for connection, t_ns, counter, wire in part.messages:
+        for segment_part in self._account.parts(reader):
+            self._note(segment_part)
+            for connection, t_ns, counter, wire in segment_part.messages:
                 self._read.add(writer.writer_id << COUNTER_BITS | counter)
                 if id(connection) not in handles:
                     handles[id(connection)] = self._handle(writer, connection, reader, totals, wire)
@@ -267,16 +271,19 @@ class Drain:
                     self._miss(connection.topic, 1, t_ns, t_ns, LossKind.NO_TABLE)
                     continue
                 number += 1
-                if not known.has(handle, t_ns, counter, totals):
+                if not stored_blocks.has(handle, t_ns, counter, totals):
                     writer.write(handle, t_ns, counter, wire)
             if self._silent or self._stopped.is_set():
                 return False
-            progress(len(part.messages))
+            progress(len(segment_part.messages))
         writer.flush()
         if not self._silent:
             self._done.messages += number - self._refusals
             self._remember()
-        return any(each.topic in self._done.stays for each in reader.connections.values())
+        return any(
+            file_connection.topic in self._done.stays
+            for file_connection in reader.connections.values()
+        )
 
     def _writer(self, number: int) -> MessageWriter:
         writer = self._writers.get(number)
@@ -317,7 +324,11 @@ class Drain:
             return None
         key = (writer.writer_id, connection)
         if key not in self._handles:
-            mine = [n for n, each in reader.connections.items() if each == connection]
+            mine = [
+                n
+                for n, file_connection in reader.connections.items()
+                if file_connection == connection
+            ]
             total = next((totals[n] for n in mine if n in totals), TopicTotal(1, 0, 0))
             seconds = (total.last_ns - total.first_ns) / SECOND_NS
             lengths = lengths_for(total.count, total.count * len(wire), seconds)
@@ -335,19 +346,19 @@ class Drain:
 
     def _connect(self, writer: MessageWriter, connection: Connection, lengths: Lengths) -> Handle:
         """Return a handle; try again while other clients change the table or hold the lock."""
-        for left in reversed(range(MAX_CONFLICTS)):
+        for tries_left in reversed(range(MAX_CONFLICTS)):
             try:
                 return connect(writer, connection, lengths, self._settings)
             except (SchemaConflict, WriteFailed):
-                if not left or self._stopped.wait(PAUSE_SEC):
+                if not tries_left or self._stopped.wait(PAUSE_SEC):
                     raise
         raise AssertionError("the loop above returns or raises")
 
-    def _note(self, part: SegmentPart) -> None:
+    def _note(self, segment_part: SegmentPart) -> None:
         """Note what is damaged and what is missing."""
-        if part.damage:
-            _log.warning("run %s: %s", self._left.name, part.damage)
-        self._missing += part.missing
+        if segment_part.damage:
+            _log.warning("run %s: %s", self._left.name, segment_part.damage)
+        self._missing += segment_part.missing
 
     def _miss(
         self,
@@ -383,8 +394,10 @@ class Drain:
         whose = Whose((self._label.node,), frozenset(self._writers) | {self._label.run})
         stored = 0
         for table in tables:
-            asked = TimeRange() if table.metadata.own_time else TimeRange(first_ns, last_ns)
-            for row in self._space.rows.read([table], Read(asked, whose, columns=lambda _: ())):
+            time_range = TimeRange() if table.metadata.own_time else TimeRange(first_ns, last_ns)
+            for row in self._space.rows.read(
+                [table], Read(time_range, whose, columns=lambda _: ())
+            ):
                 is_there = first_ns <= row.received <= last_ns
                 stored += is_there and not self._read.has(row.position.seq)
         return stored
@@ -482,9 +495,9 @@ class _StoredBlocks:
         first = min((total.first_ns for total in totals.values()), default=0)
         last = max((total.last_ns for total in totals.values()), default=MAX_NS)
         whose = Whose.of(handle.node, frozenset([self._writer]))
-        own = handle.table.metadata.own_time  # the key is no time of reception
-        asked = TimeRange() if own else TimeRange(first, last)
-        read = Read(asked, whose, columns=lambda table: ())
+        has_own_time = handle.table.metadata.own_time  # the key is no time of reception
+        time_range = TimeRange() if has_own_time else TimeRange(first, last)
+        read = Read(time_range, whose, columns=lambda table: ())
         return {row.position.seq for row in self._space.rows.read([handle.table], read)}
 
 

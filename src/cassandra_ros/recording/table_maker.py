@@ -171,10 +171,10 @@ def make_together(
     """
     tables = []
     for source in sources:
-        own = settings.of(source.connection.topic)
-        if not (own.key_part or own.index):
-            like = None if own == settings.default else _like(own)
-            tables.append(Asked(source.connection, *source.lengths(), own.format, like))
+        topic_settings = settings.of(source.connection.topic)
+        if not (topic_settings.key_part or topic_settings.index):
+            like = None if topic_settings == settings.default else _like(topic_settings)
+            tables.append(Asked(source.connection, *source.lengths(), topic_settings.format, like))
     writer.make_tables(tables)
 
 

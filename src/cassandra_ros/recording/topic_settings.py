@@ -81,14 +81,20 @@ class RecordingSettings:
 
 def settings_as_json(settings: RecordingSettings) -> Mapping[str, Any]:
     """Return settings as values of JSON, of which settings_from_json makes them again."""
-    rules = [[[pattern, dict(values)] for pattern, values in each] for each in settings.rules]
+    rules = [
+        [[pattern, dict(values)] for pattern, values in topic_rules]
+        for topic_rules in settings.rules
+    ]
     return {"default": asdict(settings.default), "rules": rules}
 
 
 def settings_from_json(values: Mapping[str, Any]) -> RecordingSettings:
     """Return the settings that settings_as_json returned as JSON."""
     try:
-        rules = [[(pattern, _known(rule)) for pattern, rule in each] for each in values["rules"]]
+        rules = [
+            [(pattern, _known(rule)) for pattern, rule in topic_rules]
+            for topic_rules in values["rules"]
+        ]
         return RecordingSettings(TopicSettings(**_known(values["default"])), rules)
     except (KeyError, TypeError, ValueError, AttributeError) as exc:
         raise InvalidOption(f"the settings {str(values)!r:.200} cannot be used: {exc!r}") from exc
@@ -96,7 +102,7 @@ def settings_from_json(values: Mapping[str, Any]) -> RecordingSettings:
 
 def _known(values: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the values of one TopicSettings; JSON has lists for tuples."""
-    names = {each.name for each in fields(TopicSettings)}.intersection(values)
+    names = {member.name for member in fields(TopicSettings)}.intersection(values)
     return {n: tuple(values[n]) if isinstance(values[n], list) else values[n] for n in names}
 
 
@@ -188,13 +194,13 @@ def check_condition(value: object) -> str:
             reason = f"{what} of a robot, which are known for stored messages only: query those"
             raise InvalidQuery(text, leaf.position, reason)
     for term in terms_of_condition(parsed):
-        for part in inside(term):
-            if isinstance(part, Literal) and isinstance(part.value, TimeNs):
+        for operand in inside(term):
+            if isinstance(operand, Literal) and isinstance(operand.value, TimeNs):
                 reason = (
                     "now() would stay the time at which the recorder read this condition; KEY is "
                 )
                 reason += "the time of reception of each message, as in header.stamp > KEY - 1s"
-                raise InvalidQuery(text, part.position, reason)
+                raise InvalidQuery(text, operand.position, reason)
     return text
 
 
@@ -219,4 +225,4 @@ _READERS: Mapping[str, Callable[[object], object]] = {
     "index": lambda value: check_fields("index", value),
 }
 """Functions that read the values of TopicSettings from YAML, by name."""
-assert set(_READERS) == {each.name for each in fields(TopicSettings)}  # noqa: S101
+assert set(_READERS) == {member.name for member in fields(TopicSettings)}  # noqa: S101
