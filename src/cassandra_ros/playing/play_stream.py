@@ -157,10 +157,10 @@ class PlayStream:
         if self._align:
             # Dates have selected the messages already; they have no place on a common time line.
             start, end = (when if when and when.relative else None for when in (start, end))
-        known = _known(self._play_sources)
-        bounds = resolve_times(known, start, end, length)
+        received_range = _known(self._play_sources)
+        bounds = resolve_times(received_range, start, end, length)
         if end is not None and not end.relative:
-            reason = far_outside("end", end.ns, known, "selected")
+            reason = far_outside("end", end.ns, received_range, "selected")
             if reason:
                 _log.warning("the end, %s, %s", iso_time(end.ns), reason)
         self.windows = self._find_windows(bounds)
@@ -169,13 +169,13 @@ class PlayStream:
         self._robot_names = self._source_names() if selection.node_prefix else {}
 
     def _find_stored_ranges(self) -> list[StoredRange]:
-        asked = self.selection
-        self._whose = self._store.whose(asked.nodeID, asked.run)
+        selection = self.selection
+        self._whose = self._store.whose(selection.nodeID, selection.run)
         ranges = self._store.ranges(self.topics, self._whose)
         if ranges:
             return ranges
-        node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
-        run = "" if asked.run is None else f" of run {asked.run!r}"
+        node = "" if selection.nodeID is None else f" of node {selection.nodeID!r}"
+        run = "" if selection.run is None else f" of run {selection.run!r}"
         topics = ", ".join(self.topics)
         raise MessageNotFound(
             f"there is no message{node}{run} on {topics:.500}; cassandra_bag info lists what "
@@ -183,7 +183,7 @@ class PlayStream:
         )
 
     def _find_sources(self, start: When | None, end: When | None) -> list[PlaySource]:
-        asked = self.selection
+        selection = self.selection
         times = None
         if self._event is not None:
             times = self._store.event_times(self._event, self._whose)
@@ -191,7 +191,7 @@ class PlayStream:
             self._store,
             self.topics,
             self._whose,
-            asked.where,
+            selection.where,
             self._stored_ranges,
             times=times,
         )
@@ -236,8 +236,10 @@ class PlayStream:
             windows = [TimeRange(*window) for window in merge_ranges(events)]
             what = "event reaches into the time"
         elif around is not None:
-            each = (source.hits(around.topic, around.condition, bounds) for source in sources)
-            hits = heapq.merge(*each)
+            hits_by_source = (
+                source.hits(around.topic, around.condition, bounds) for source in sources
+            )
+            hits = heapq.merge(*hits_by_source)
             windows = list(merge_windows(hits, around.before, around.after, bounds))
             what = f"message of {around.topic} satisfies {around.condition!r:.200}"
         else:
@@ -292,18 +294,22 @@ class PlayStream:
         earlier: list[StoredRange] = []
         sources: dict[StoredRange, PlaySource] = {}
         for source in self._play_sources:
-            for each in source.stored_ranges:
-                if self._plays(source, each):
-                    playing.append(each)
-                    sources[each] = source
-                elif each.first + source.shift <= self.end_ns:
-                    earlier.append(each)
-        runs = {(each.node, each.writer) for each in playing}
-        earlier = [each for each in earlier if (each.node, each.writer) in runs]
+            for stored_range in source.stored_ranges:
+                if self._plays(source, stored_range):
+                    playing.append(stored_range)
+                    sources[stored_range] = source
+                elif stored_range.first + source.shift <= self.end_ns:
+                    earlier.append(stored_range)
+        runs = {(stored_range.node, stored_range.writer) for stored_range in playing}
+        earlier = [
+            stored_range
+            for stored_range in earlier
+            if (stored_range.node, stored_range.writer) in runs
+        ]
         by_table: dict[str, list[tuple[StoredRange, bool]]] = {}
         for ranges, plays in ((playing, True), (earlier, False)):
-            for each in ranges:
-                by_table.setdefault(each.table.name, []).append((each, plays))
+            for stored_range in ranges:
+                by_table.setdefault(stored_range.table.name, []).append((stored_range, plays))
         channels: dict[tuple[str, str, Kind], Channel] = {}
         played: dict[tuple[str, str, Kind], set[StoredRange]] = {}
         for name, _, connection in self._store.connections(by_table):
@@ -311,22 +317,27 @@ class PlayStream:
             metadata = table.metadata
             msg_type = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition
-            for each, plays in by_table[name]:
+            for stored_range, plays in by_table[name]:
                 if not (plays or latched):
                     continue
-                topic = self._name_of(metadata.topic, each.node, each.writer)
+                topic = self._name_of(metadata.topic, stored_range.node, stored_range.writer)
                 key = (topic, msg_type, table.kind)
-                known = channels.get(key, Channel(*key, text, latched))
-                channels[key] = known._replace(latched=known.latched or latched)
+                channel = channels.get(key, Channel(*key, text, latched))
+                channels[key] = channel._replace(latched=channel.latched or latched)
                 if plays:
-                    played.setdefault(key, set()).add(each)
+                    played.setdefault(key, set()).add(stored_range)
         types = Counter(channel.topic for channel in channels.values())
 
         def first_ns(channel: Channel) -> int:
             ranges = played.get(channel[:3], set()) if types[channel.topic] > 1 else set()
-            return min((self._first_time(sources[each], each) for each in ranges), default=MAX_NS)
+            return min(
+                (self._first_time(sources[stored_range], stored_range) for stored_range in ranges),
+                default=MAX_NS,
+            )
 
-        return sorted(channels.values(), key=lambda each: (each.topic, first_ns(each), each))
+        return sorted(
+            channels.values(), key=lambda channel: (channel.topic, first_ns(channel), channel)
+        )
 
     @property
     def missing(self) -> Mapping[str, str]:
@@ -338,14 +349,14 @@ class PlayStream:
         if self._align:
             return self._store.losses(self.topics, Read(TimeRange(), self._whose))
         reach = TimeRange(self.start_ns, self.end_ns)
-        found = self._store.losses(self.topics, Read(reach, self._whose))
-        return [loss for loss in found if self._meets(loss)]
+        losses = self._store.losses(self.topics, Read(reach, self._whose))
+        return [loss for loss in losses if self._meets(loss)]
 
     def _meets(self, loss: Loss) -> bool:
         read = Read(TimeRange(loss.first_ns, loss.last_ns), Whose((loss.node,)))
         times = [source.times for source in self._play_sources if source.times is not None]
         if times:
-            return any(each.reads(read) for each in times)
+            return any(times_of_source.reads(read) for times_of_source in times)
         return any(loss.first_ns <= high and loss.last_ns >= low for low, high in self.windows)
 
     def latched(self, t: int) -> list[PlayedMessage]:
@@ -390,7 +401,11 @@ class PlayStream:
             )
         pairs = zip(self._play_sources, sent)
         return heapq.merge(
-            *(source.rows_noting_latched(time_range, each) for source, each in pairs), key=_order
+            *(
+                source.rows_noting_latched(time_range, latched_record)
+                for source, latched_record in pairs
+            ),
+            key=_order,
         )
 
     def _played(self, t: int, row: PlayedRow, window: TimeRange) -> PlayedMessage:

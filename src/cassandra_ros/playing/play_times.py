@@ -80,9 +80,9 @@ def _number(text: str) -> Decimal | None:
 
 
 def resolve_times(
-    known: TimeRange, start: When | None, end: When | None, duration_ns: int | None
+    received: TimeRange, start: When | None, end: When | None, duration_ns: int | None
 ) -> TimeRange:
-    """Return the time range that is played of the messages in the time range ``known``.
+    """Return the time range that is played of the messages in the time range ``received``.
 
     Returns:
         It begins at the start, or at the first message if no start is given. It ends at the end,
@@ -92,43 +92,45 @@ def resolve_times(
         InvalidOption: The start lies before the first message or after the last one, or the end
             before the first message or before the start.
     """
-    low, high = known
+    low, high = received
     if start is not None:
-        low = _placed(known, start)
-        if low < known.low:
-            raise InvalidOption(f"the start, {_too_early(known, start)}")
-        if low > known.high:
-            raise InvalidOption(f"the start, {_shown(known, start)}, lies after {_reach(known)}")
+        low = _placed(received, start)
+        if low < received.low:
+            raise InvalidOption(f"the start, {_too_early(received, start)}")
+        if low > received.high:
+            raise InvalidOption(
+                f"the start, {_shown(received, start)}, lies after {_reach(received)}"
+            )
     if end is not None:
-        high = _placed(known, end)
-        if high < known.low:
-            raise InvalidOption(f"the end, {_too_early(known, end)}")
+        high = _placed(received, end)
+        if high < received.low:
+            raise InvalidOption(f"the end, {_too_early(received, end)}")
         if high < low:
             raise InvalidOption(
                 f"the end, {iso_time(high)}, lies before the start, {iso_time(low)}: exchange them"
             )
     if duration_ns is not None:
         high = min(high, low + duration_ns)
-    return TimeRange(low, min(high, known.high))
+    return TimeRange(low, min(high, received.high))
 
 
-def _placed(known: TimeRange, when: When) -> int:
-    return when.ns + known.low if when.relative else when.ns
+def _placed(received: TimeRange, when: When) -> int:
+    return when.ns + received.low if when.relative else when.ns
 
 
-def _shown(known: TimeRange, when: When) -> str:
+def _shown(received: TimeRange, when: When) -> str:
     return f"{when.ns / SECOND_NS:g} s" if when.relative else iso_time(when.ns)
 
 
-def _too_early(known: TimeRange, when: When) -> str:
-    meant = other_unit(when.ns, known.low)
-    text = f"{iso_time(_placed(known, when))}, lies before {_reach(known)}"
+def _too_early(received: TimeRange, when: When) -> str:
+    meant = other_unit(when.ns, received.low)
+    text = f"{iso_time(_placed(received, when))}, lies before {_reach(received)}"
     return f"{text}; {meant}" if meant else text
 
 
-def _reach(known: TimeRange) -> str:
-    seconds = (known.high - known.low) / SECOND_NS
+def _reach(received: TimeRange) -> str:
+    seconds = (received.high - received.low) / SECOND_NS
     return (
-        f"all selected messages, which were received from {iso_time(known.low)} to "
-        f"{iso_time(known.high)} ({seconds:g} s)"
+        f"all selected messages, which were received from {iso_time(received.low)} to "
+        f"{iso_time(received.high)} ({seconds:g} s)"
     )

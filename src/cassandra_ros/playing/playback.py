@@ -162,11 +162,11 @@ class Playback:
             self._steps += count
             self._changed.notify_all()
             self._changed.wait_for(self._has_stepped, COMMAND_SEC)
-            left, self._steps = self._steps, 0
+            missing, self._steps = self._steps, 0
             ended = self._finished or self._at_end
-        if left:
+        if missing:
             why = "then the replay ended" if ended else f"no more within {COMMAND_SEC:g} s"
-            raise InvalidOption(f"{count - left} of {count} messages were published: {why}")
+            raise InvalidOption(f"{count - missing} of {count} messages were published: {why}")
 
     def seek(self, t: int) -> int:
         """Go on at the time ``t``, ns; return it, moved to the start or end if it lies outside."""
@@ -281,7 +281,9 @@ class Playback:
         ends = time.monotonic() + GIVE_UP_SEC
         while True:
             try:
-                return [each for each in self._stream.latched(t) if self._is_readable(each)]
+                return [
+                    message for message in self._stream.latched(t) if self._is_readable(message)
+                ]
             except (StoreUnavailable, ConnectionFailed) as exc:
                 if time.monotonic() >= ends:
                     raise
@@ -409,10 +411,10 @@ class Playback:
         elif self._skip_ns is not None and t - now > self._skip_ns:
             self._jump(t)
             return True
-        left = self.pace.due_in(t)
-        if left is not None and left <= 0:
+        wait_sec = self.pace.due_in(t)
+        if wait_sec is not None and wait_sec <= 0:
             return True
-        self._changed.wait(WAKE_SEC if left is None else min(left, WAKE_SEC))
+        self._changed.wait(WAKE_SEC if wait_sec is None else min(wait_sec, WAKE_SEC))
         return False
 
     def _jump(self, t: int) -> None:

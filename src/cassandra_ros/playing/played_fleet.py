@@ -95,30 +95,31 @@ class PlayedFleet:
     def run_names(self) -> dict[int, str]:
         """Return writer id → name of all runs."""
         runs = self._answer.each(self._answer.catalogs, lambda c: list(c.keyspace.registry.runs()))
-        return {run.writer: run.name for each in runs.values() for run in each}
+        return {run.writer: run.name for store_runs in runs.values() for run in store_runs}
 
     def connections(self, tables: Collection[str]) -> Iterator[tuple[str, int, Connection]]:
         """Yield the connections of some tables by name: table, number, connection."""
-        found = self._answer.each(
+        connections = self._answer.each(
             self._answer.catalogs, lambda c: list(c.keyspace.connections.of_tables(tables))
         )
-        return chain.from_iterable(found.values())
+        return chain.from_iterable(connections.values())
 
     def losses(self, topics: Sequence[str], read: Read) -> list[Loss]:
         """Return the losses of topics that meet a read, each once."""
-        found = self._answer.each(
+        losses = self._answer.each(
             self._answer.catalogs, lambda c: c.keyspace.runs.losses(topics, read)
         )
-        return list(dict.fromkeys(chain.from_iterable(found.values())))
+        return list(dict.fromkeys(chain.from_iterable(losses.values())))
 
     def rows(self, topics: Sequence[str], reads: Reads, where: Conditions) -> Iterator[FleetRow]:
         """Yield the rows of topics by receive time, part after part."""
 
         def begin() -> Iterator[FleetRow]:
-            found = topics_of(self._answer, topics)
-            conditions = conditions_of(self._answer, found, where)
+            played_topics = topics_of(self._answer, topics)
+            conditions = conditions_of(self._answer, played_topics, where)
             return chain.from_iterable(
-                merged_topics(self._answer, found, part, conditions, True) for part in reads.parts
+                merged_topics(self._answer, played_topics, read, conditions, True)
+                for read in reads.parts
             )
 
         return settled(self._answer, begin)
@@ -129,15 +130,17 @@ class PlayedFleet:
 
     def latched(self, topics: Sequence[str], whose: Whose, where: Conditions) -> FleetLatched:
         """Return the latched messages of topics; the last ones satisfy their conditions."""
-        found = self._topics(topics)
-        conditions = settled(self._answer, lambda: conditions_of(self._answer, found, where))
-        names = _names(found)
+        played_topics = self._topics(topics)
+        conditions = settled(
+            self._answer, lambda: conditions_of(self._answer, played_topics, where)
+        )
+        names = _names(played_topics)
 
         def make(store: str) -> LatchedFinder:
             catalog = self._answer.catalogs[store]
             wanted = {
                 topic.names[store]: conditions[topic.name]
-                for topic in found
+                for topic in played_topics
                 if store in topic.names and topic.name in conditions
             }
             tests = tests_of(catalog, wanted, whose)
@@ -170,8 +173,8 @@ class FleetLatched:
 
     def sources(self, t: int, to: int) -> frozenset[Source]:
         """Return the runs that have messages of any topic in [t, to], in any store."""
-        found = self._answer.each(self._finders, lambda finder: finder.sources(t, to))
-        return frozenset().union(*found.values())
+        sources = self._answer.each(self._finders, lambda finder: finder.sources(t, to))
+        return frozenset().union(*sources.values())
 
     def of_sources(self, sources: frozenset[Source], t: int, since: int = 0) -> list[FleetRow]:
         """Return the last latched message in [since, t) of each publisher of some runs."""

@@ -17,9 +17,9 @@ from cassandra_ros.topics.overview.latched_messages import Source
 
 def check_alignment(align: object) -> str:
     """Return 'run', 'node', or '' for no alignment, or raise InvalidOption."""
-    known = {False: "", True: "run", "": "", "run": "run", "node": "node"}
-    if isinstance(align, (bool, str)) and align in known:
-        return known[align]
+    alignments = {False: "", True: "run", "": "", "run": "run", "node": "node"}
+    if isinstance(align, (bool, str)) and align in alignments:
+        return alignments[align]
     raise InvalidOption(f"align_start {align!r:.80} is neither 'run' nor 'node'")
 
 

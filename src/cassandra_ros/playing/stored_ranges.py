@@ -35,10 +35,16 @@ def stored_ranges(
     ranges: list[StoredRange] = []
     nodes, writers = whose
     for table in tables:
-        own = table.named or table.metadata.own_time
-        listed = _by_keys(keyspace, table, nodes) if own else _by_buckets(keyspace, table, nodes)
+        has_own_order = table.named or table.metadata.own_time
+        listed = (
+            _by_keys(keyspace, table, nodes)
+            if has_own_order
+            else _by_buckets(keyspace, table, nodes)
+        )
         ranges.extend(
-            each for each in listed if writers is None or not each.writer or each.writer in writers
+            stored_range
+            for stored_range in listed
+            if writers is None or not stored_range.writer or stored_range.writer in writers
         )
     return ranges
 
@@ -50,7 +56,7 @@ def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[Sto
     ranges: list[StoredRange] = []
     for (node, writer), rows in by_run.items():
         rows.sort(key=lambda row: row.bucket)
-        first, last = (_filled(keyspace, table, each) for each in (rows, rows[::-1]))
+        first, last = (_filled(keyspace, table, ordered) for ordered in (rows, rows[::-1]))
         if first is not None and last is not None:
             ranges.append(StoredRange(table, node, writer, first.t_min, last.t_max))
     return ranges
@@ -68,6 +74,6 @@ def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[Stored
     rows = keyspace.rows.read([table], Read(whose=Whose(nodes), columns=lambda table: ()))
     for row in rows:
         run, t = (row.node, split_seq(row.seq)[0]), row.received
-        known = ranges.get(run, StoredRange(table, *run, t, t))
-        ranges[run] = known._replace(first=min(known.first, t), last=max(known.last, t))
+        run_range = ranges.get(run, StoredRange(table, *run, t, t))
+        ranges[run] = run_range._replace(first=min(run_range.first, t), last=max(run_range.last, t))
     return list(ranges.values())

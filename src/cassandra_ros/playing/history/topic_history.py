@@ -421,7 +421,7 @@ class History:
 
     def _rest(self, bounds: Mapping[_WriterStream, _Arrival]) -> Iterator[HistoryMessage]:
         """Yield the rows before the bounds, merged by time with other publishers' live messages."""
-        left: Counter[Publisher] = Count(
+        expected: Counter[Publisher] = Count(
             seen.stream.publisher
             for seen in self._seen.values()
             if seen.arrival < bounds[seen.stream]
@@ -435,15 +435,15 @@ class History:
                 continue
             if row.place not in self._seen and self._is_heard(row):
                 continue  # stored after the bound had been found
-            yield from self._live_before(row.received, left)
+            yield from self._live_before(row.received, expected)
             if row.place in self._seen:
-                left[stream.publisher] -= 1
+                expected[stream.publisher] -= 1
             yield from self._give(row)
 
-    def _live_before(self, t: int, left: Counter[Publisher]) -> Iterator[HistoryMessage]:
+    def _live_before(self, t: int, expected: Counter[Publisher]) -> Iterator[HistoryMessage]:
         while True:
             message = self._queue.first()
-            if message is None or message.t >= t or left[message.publisher] > 0:
+            if message is None or message.t >= t or expected[message.publisher] > 0:
                 return
             self._queue.take(0.0)
             if message.wanted:
