@@ -77,7 +77,7 @@ class Outlets:
         if clock:
             kind = MessageKind.of(Clock._type, Clock._md5sum, Clock._full_text)
             self._clock = advertise(CLOCK, kind, latched=False, queue_size=1)
-        latched = {rospy.resolve_name(each.topic) for each in channels if each.latched}
+        latched = {rospy.resolve_name(channel.topic) for channel in channels if channel.latched}
         for channel in channels:
             name = rospy.resolve_name(channel.topic)
             self._advertise(channel, name, name in latched, queue)

@@ -321,5 +321,5 @@ class Player:
         self._playback.wake()
 
 
-def _played(asked: RosCassandra | Fleet) -> PlayedStore:
-    return PlayedFleet(asked) if isinstance(asked, Fleet) else PlayedKeyspace(asked.catalog)
+def _played(store: RosCassandra | Fleet) -> PlayedStore:
+    return PlayedFleet(store) if isinstance(store, Fleet) else PlayedKeyspace(store.catalog)

@@ -210,11 +210,11 @@ class QueryServices:
         topic = self.ros_cas.getTopic(request.topic)
         key = topic.keyOfText(request.key_text) if request.key_text.strip() else request.key
         nearest, node = request.nearest or None, request.node_id or None
-        asked = {"nearest": nearest, "nodeID": node, "where": request.where or None}
-        asked["run"] = request.run or None
-        while (row := topic.getRow(key, **asked)) is None:
+        options = {"nearest": nearest, "nodeID": node, "where": request.where or None}
+        options["run"] = request.run or None
+        while (row := topic.getRow(key, **options)) is None:
             # Raises MessageNotFound with the nearest keys, unless the message was stored just now.
-            topic.getData(key, **asked)
+            topic.getData(key, **options)
         return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
 
     def range(self, request: RangeRequest) -> RangeResponse:
@@ -341,7 +341,7 @@ class QueryServices:
         """Answer Info."""
         node, run = request.node_id or None, request.run or None
         infos = self.ros_cas.info(request.topics or None, nodeID=node, run=run)
-        topics = [_stored_topic(each) for each in infos]
+        topics = [_stored_topic(info) for info in infos]
         return InfoResponse(True, "", self.ros_cas.keyspace, topics)
 
     def add_data(self, request: AddDataRequest) -> AddDataResponse:
@@ -350,13 +350,13 @@ class QueryServices:
             return AddDataResponse(success=False, message=READ_ONLY)
         if request.data and request.yaml:
             raise InvalidOption("give the message as data or as yaml, not as both")
-        asked, text, store = request.topic, request.yaml, self.ros_cas
-        stored = store.getTopic(asked) if store.existTopic(asked) else None
+        name, text, store = request.topic, request.yaml, self.ros_cas
+        stored = store.getTopic(name) if store.existTopic(name) else None
         cls = message_class(_definition(request, stored))
         msg = message_of_yaml(cls, text) if text else exact_message(cls, bytes(request.data))
         # The stored name, with or without leading slash. A new topic has the type of the message,
         # whatever the master remembers of a topic of that name.
-        wish = wished_topic(stored.name if stored else asked, request.format or None)
+        wish = wished_topic(stored.name if stored else name, request.format or None)
         when = request.key_text.strip() or request.key or None
         if stored is None and when is not None:
             when = to_ns(when)  # refused before an empty topic is made
@@ -395,13 +395,13 @@ class QueryServices:
 
     def lookup_transform(self, request: LookupTransformRequest) -> LookupTransformResponse:
         """Answer LookupTransform."""
-        asked = {"nodeID": request.node_id, "run": request.run}
-        asked.update(tf=request.tf, tf_static=request.tf_static)
+        options = {"nodeID": request.node_id, "run": request.run}
+        options.update(tf=request.tf, tf_static=request.tf_static)
         transform = self.ros_cas.lookupTransform(
             request.target_frame,
             request.source_frame,
             request.time,
-            **{name: value for name, value in asked.items() if value},
+            **{name: value for name, value in options.items() if value},
         )
         return LookupTransformResponse(True, "", transform)
 

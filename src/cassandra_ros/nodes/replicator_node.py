@@ -127,7 +127,7 @@ class _Handlers:
     def status(self, request: ReplicatorStatusRequest) -> ReplicatorStatusResponse:
         """Answer ReplicatorStatus."""
         status = self._follower.status
-        left = status.left_sec
+        seconds_left = status.left_sec
         return ReplicatorStatusResponse(
             success=True,
             state=status.state,
@@ -135,7 +135,7 @@ class _Handlers:
             reason=status.reason,
             topics=list(map(_packed, status.topics)),
             bytes_per_second=status.bytes_per_sec,
-            seconds_left=-1.0 if left is None else left,
+            seconds_left=-1.0 if seconds_left is None else seconds_left,
             unused_patterns=list(status.unused),
         )
 
@@ -175,14 +175,14 @@ class _Diagnostics:
         text = status.reason or status.state
         if status.unused and not away:
             text = f"no topic matches {', '.join(status.unused)}"
-        left = status.left_sec
+        seconds_left = status.left_sec
         values = {
             "state": status.state,
             "target": status.place,
             "waiting": str(status.waiting),
             "waiting bytes": str(status.waiting_bytes),
             "bytes/s": f"{status.bytes_per_sec:.0f}",
-            "left s": "unknown" if left is None else f"{left:.0f}",
+            "left s": "unknown" if seconds_left is None else f"{seconds_left:.0f}",
         }
         return self._status(level, "target", text, values)
 

@@ -178,12 +178,12 @@ class _Subscription(_SubscriberImpl):
         super().remove_connection(c)
         with self.c_lock:
             again = c.endpoint_id.replace(_CLOSING, "")
-            told = self._named.pop(again, -TOLD_SEC) > time.monotonic() - TOLD_SEC
-            if not (told or _is_greeted(c)) or self.closed or rospy.is_shutdown():
+            was_named = self._named.pop(again, -TOLD_SEC) > time.monotonic() - TOLD_SEC
+            if not (was_named or _is_greeted(c)) or self.closed or rospy.is_shutdown():
                 return
         heard = getattr(c, "heard", time.monotonic())
         threading.Thread(
-            target=self._reconnect, args=(again, None if told else heard), daemon=True
+            target=self._reconnect, args=(again, None if was_named else heard), daemon=True
         ).start()
 
     def _reconnect(self, uri: str, heard: float | None) -> None:

@@ -114,24 +114,26 @@ class Subscriptions:
             The topics whose connections could not be read to their end.
         """
         with self._mutex:
-            left = {t: subscriber for t, subscriber in self._subscribers.items() if t in topics}
+            waiting = {t: subscriber for t, subscriber in self._subscribers.items() if t in topics}
         seen, ends = -1, 0.0
         last = time.monotonic() + MAX_DRAIN_SEC
-        while left:
-            left = {t: subscriber for t, subscriber in left.items() if not is_drained(subscriber)}
-            arrived, now = sum(map(count, left)), time.monotonic()
+        while waiting:
+            waiting = {
+                t: subscriber for t, subscriber in waiting.items() if not is_drained(subscriber)
+            }
+            arrived, now = sum(map(count, waiting)), time.monotonic()
             if arrived != seen:
                 seen, ends = arrived, min(now + DRAIN_SEC, last)
-            if not left or now > ends or give_up() or rospy.is_shutdown():
+            if not waiting or now > ends or give_up() or rospy.is_shutdown():
                 break
             time.sleep(0.01)
-        if left:
+        if waiting:
             _log.warning(
                 "the last messages of the publishers of %s are not recorded: their connections "
                 "could not be read to their end",
-                ", ".join(sorted(left)),
+                ", ".join(sorted(waiting)),
             )
-        return sorted(left)
+        return sorted(waiting)
 
 
 def published_topics(but_of: str = "") -> list[str]:
