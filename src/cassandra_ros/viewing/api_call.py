@@ -48,7 +48,7 @@ class ApiCall:
         method: str = "GET",
     ) -> None:
         self._viewer = shared
-        self._known = {each.name: each for each in (*route.parameters, KEYSPACE)}
+        self._known = {parameter.name: parameter for parameter in (*route.parameters, KEYSPACE)}
         self._query = query
         self.headers = headers
         self.method = method
@@ -59,8 +59,8 @@ class ApiCall:
         """Refuse unknown parameters: a misspelt one must not be ignored."""
         for name in self._query:
             if name not in self._known and name != "token":
-                known = ", ".join(self._known) or "none"
-                raise InvalidOption(f"{path} has no parameter {name!r}; it has {known}")
+                names = ", ".join(self._known) or "none"
+                raise InvalidOption(f"{path} has no parameter {name!r}; it has {names}")
         for name, parameter in self._known.items():
             if parameter.required and not any(self._query.get(name, ())):
                 raise InvalidOption(f"{path} needs the parameter {name}: {parameter.summary}")

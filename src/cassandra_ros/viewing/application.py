@@ -92,7 +92,7 @@ def _inside(folder: Path, name: str) -> Path | None:
     Hidden files are not found, nor files outside the folder: '..' begins with a dot, too.
     """
     parts = name.split("/")
-    if any(not part or part.startswith(".") or "\0" in part for part in parts):
+    if any(not name_part or name_part.startswith(".") or "\0" in name_part for name_part in parts):
         return None
     path = folder.joinpath(*parts)
     try:
@@ -111,10 +111,10 @@ async def _errors_told(request: web.Request, handler: Handler) -> web.StreamResp
     except web.HTTPError as exc:
         if not request.path.startswith("/api/"):
             raise
-        told = _told(exc.status, type(exc).__name__, _text_of(request, exc), exc)
+        answer = _told(exc.status, type(exc).__name__, _text_of(request, exc), exc)
         if "Allow" in exc.headers:
-            told.headers["Allow"] = exc.headers["Allow"]
-        return told
+            answer.headers["Allow"] = exc.headers["Allow"]
+        return answer
 
 
 def _text_of(request: web.Request, error: web.HTTPError) -> str:

@@ -29,12 +29,12 @@ def _keyspace(call: ApiCall) -> Json:
     store = call.store
     keyspaces: list[Json] = [
         {
-            "keyspace": each.name,
-            "topics": each.topics,
-            "tables": each.tables,
-            "copies": dict(each.copies),
+            "keyspace": info.name,
+            "topics": info.topics,
+            "tables": info.tables,
+            "copies": dict(info.copies),
         }
-        for each in store.getKeyspaces()
+        for info in store.getKeyspaces()
     ]
     absence = call.catalog.keyspace.side_tables.absence()
     return {

@@ -258,8 +258,8 @@ class DownloadCache:
 
     def _make_room(self, entry: CacheEntry) -> None:
         """Remove old files until this one fits into the maximum size."""
-        own = entry.measure()
-        if own > self._most_bytes:
+        entry_bytes = entry.measure()
+        if entry_bytes > self._most_bytes:
             raise InvalidOption(
                 f"the file is larger than the {self._most_bytes} bytes that the viewer keeps on "
                 "disk: ask for less time or fewer topics, or start the viewer with a larger "
@@ -267,7 +267,7 @@ class DownloadCache:
             )
         with self._mutex:
             others = [e for e in self._entries.values() if e is not entry]
-            taken = own + sum(e.bytes for e in others)
+            taken = entry_bytes + sum(e.bytes for e in others)
             for old in sorted(others, key=lambda e: e.used):
                 if taken <= self._most_bytes:
                     return

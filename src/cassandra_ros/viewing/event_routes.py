@@ -33,14 +33,14 @@ def within(call: ApiCall) -> TimeRange:
     return TimeRange(start or 0, LAST_NS if end is None else end)
 
 
-def listed_events(call: ApiCall, found: Iterator[Event]) -> dict[str, Json]:
+def listed_events(call: ApiCall, events: Iterator[Event]) -> dict[str, Json]:
     """Return as JSON the events with the text of a call in their name."""
     text, limit = call.text("text"), listed_at_most(call)
-    part = (text or "").casefold()
-    searched = islice(found, _MAX_SEARCHED if part else None)
-    fitting = (event for event in searched if part in event.name.casefold())
+    fragment = (text or "").casefold()
+    searched = islice(events, _MAX_SEARCHED if fragment else None)
+    fitting = (event for event in searched if fragment in event.name.casefold())
     listed: list[Json] = [_answer(event) for event in islice(fitting, limit)]
-    more = next(fitting, None) is not None or next(found, None) is not None
+    more = next(fitting, None) is not None or next(events, None) is not None
     return {"events": listed, "more": more}
 
 
@@ -72,9 +72,9 @@ def _answer(event: Event) -> dict[str, Json]:
 def _exact(value: object) -> Json:
     """Return a value of an event; JavaScript rounds integers above 2^53, which become texts."""
     if isinstance(value, dict):
-        return {name: _exact(each) for name, each in value.items()}
+        return {name: _exact(element) for name, element in value.items()}
     if isinstance(value, list):
-        return [_exact(each) for each in value]
+        return [_exact(element) for element in value]
     return JsonConverter(None).shown(value)
 
 

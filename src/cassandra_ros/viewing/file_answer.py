@@ -60,10 +60,10 @@ def asked_offsets(request: web.BaseRequest, etag: str, size: int) -> range | Non
     if request.headers.get("If-Range", f'"{etag}"').strip() != f'"{etag}"':
         return None
     try:
-        asked = request.http_range
+        byte_range = request.http_range
     except ValueError:
         return None
-    return None if asked.start is None else range(*asked.indices(size))
+    return None if byte_range.start is None else range(*byte_range.indices(size))
 
 
 def _names(tags: tuple[ETag, ...], etag: str) -> bool:
@@ -99,11 +99,11 @@ def _opened(path: Path) -> tuple[IO[bytes], int]:
 
 async def _send_part(response: web.StreamResponse, stream: IO[bytes], offsets: range) -> None:
     loop = asyncio.get_running_loop()
-    left = len(offsets)
+    remaining = len(offsets)
     await loop.run_in_executor(None, stream.seek, offsets.start)
-    while left:
-        chunk = await loop.run_in_executor(None, stream.read, min(left, _CHUNK_BYTES))
+    while remaining:
+        chunk = await loop.run_in_executor(None, stream.read, min(remaining, _CHUNK_BYTES))
         if not chunk:
             raise ConnectionResetError("the file has become shorter")
-        left -= len(chunk)
+        remaining -= len(chunk)
         await response.write(chunk)

@@ -74,15 +74,15 @@ def _of_all(work: _Work, call: ApiCall) -> Answer:
     fleet = call.fleet
     stores = fleet.begin(ask_routes.watch_of(call))
     try:
-        found = settled(stores, lambda: work(call, stores))
+        answer = settled(stores, lambda: work(call, stores))
     finally:
         fleet.note(stores)
-    if isinstance(found, StreamedBody):
-        return found
-    if isinstance(found, Bytes):
+    if isinstance(answer, StreamedBody):
+        return answer
+    if isinstance(answer, Bytes):
         away = {"X-Missing": json.dumps(stores.missing)} if stores.partial else {}
-        return replace(found, headers={**found.headers, **away})
-    return {**found, **_missing(stores)}
+        return replace(answer, headers={**answer.headers, **away})
+    return {**answer, **_missing(stores)}
 
 
 def _missing(stores: FleetAnswer) -> dict[str, Json]:
@@ -187,9 +187,9 @@ def _counts(infos: Sequence[FleetTopicInfo]) -> dict[str, Json]:
 
 def _all_runs(stores: FleetAnswer, counts: bool = False) -> list[Run]:
     """Return the runs of all stores, each as the store describes it that knows most of it."""
-    found = stores.each(stores.catalogs, lambda c: catalog_routes.runs_of(c, counts))
+    runs_of_store = stores.each(stores.catalogs, lambda c: catalog_routes.runs_of(c, counts))
     best: dict[tuple[int, str], Run] = {}
-    for run in chain.from_iterable(found.values()):
+    for run in chain.from_iterable(runs_of_store.values()):
         key = run.writer, run.node
         best[key] = max(best.get(key, run), run, key=_known_of)
     return list(best.values())
@@ -206,18 +206,22 @@ def _runs(call: ApiCall, stores: FleetAnswer) -> _Told:
 def _marks(call: ApiCall, stores: FleetAnswer) -> _Told:
     topics = call.texts("topics") or None
     read = Read(event_routes.within(call), _whose(call, stores))
-    found = stores.each(stores.catalogs, lambda c: c.keyspace.runs.losses(topics, read))
+    losses_of_store = stores.each(stores.catalogs, lambda c: c.keyspace.runs.losses(topics, read))
     losses: dict[tuple[object, ...], Loss] = {}
-    for loss in chain.from_iterable(found.values()):  # a copy may be older: a loss grows
+    for loss in chain.from_iterable(losses_of_store.values()):  # a copy may be older: a loss grows
         key = loss.topic, loss.node, loss.writer, loss.kind, loss.first_ns
-        losses[key] = max(losses.get(key, loss), loss, key=lambda each: (each.last_ns, each.count))
+        losses[key] = max(
+            losses.get(key, loss),
+            loss,
+            key=lambda listed_loss: (listed_loss.last_ns, listed_loss.count),
+        )
     return mark_routes.listed_marks(call, _all_runs(stores), losses.values(), read)
 
 
 def _events(call: ApiCall, stores: FleetAnswer) -> _Told:
     name, whose = call.text("name"), _whose(call, stores)
-    found = events_of(stores, name, None, event_routes.within(call), whose)
-    return event_routes.listed_events(call, found)
+    events = events_of(stores, name, None, event_routes.within(call), whose)
+    return event_routes.listed_events(call, events)
 
 
 def _timeline(call: ApiCall, stores: FleetAnswer) -> _Told:
@@ -266,14 +270,19 @@ def _complete(call: ApiCall, stores: FleetAnswer) -> _Told:
     _refuse_sql(call)
 
     def definitions(name: str) -> Sequence[Definition]:
-        if name not in {*topic_names(stores), *(each.lstrip("/") for each in topic_names(stores))}:
+        if name not in {
+            *topic_names(stores),
+            *(topic.lstrip("/") for topic in topic_names(stores)),
+        }:
             return ()
         tables = find_topic(stores, name).tables
         return [table.definition for table in tables if table.definition is not None]
 
     def nodes() -> Sequence[str]:
-        found = stores.each(stores.catalogs, lambda c: {i.node for i in c.infos(None) if i.count})
-        return sorted(set().union(*found.values()) - {""})
+        nodes_of_store = stores.each(
+            stores.catalogs, lambda c: {i.node for i in c.infos(None) if i.count}
+        )
+        return sorted(set().union(*nodes_of_store.values()) - {""})
 
     def runs() -> Sequence[str]:
         return list(dict.fromkeys(run.name for run in _all_runs(stores) if run.name))
@@ -336,7 +345,7 @@ def _latest(call: ApiCall, stores: FleetAnswer) -> _Told:
     def begin(finder: Latest) -> Iterator[StoredRow]:
         return iter(finder.before(t, since, sources))
 
-    rows = merged_rows(stores, {store: partial(begin, each) for store, each in finders.items()})
+    rows = merged_rows(stores, {store: partial(begin, finder) for store, finder in finders.items()})
     return _stream(call, stores, iter(_held(rows, t, since)))
 
 
@@ -362,8 +371,8 @@ def _held(rows: Iterable[FleetRow], t: int, since: int) -> list[FleetRow]:
             holds_alone = row.table.msg_type in TRANSFORMS
             key = row.topic, row.place if holds_alone else publisher_of(row)
         last[key] = row
-    found = (row for key, row in last.items() if len(key) > 1 or row.topic not in moving)
-    return sorted(found, key=lambda row: row.place)
+    held_rows = (row for key, row in last.items() if len(key) > 1 or row.topic not in moving)
+    return sorted(held_rows, key=lambda row: row.place)
 
 
 def _is_latched(row: FleetRow) -> bool:
@@ -385,7 +394,9 @@ def _row(call: ApiCall, stores: FleetAnswer) -> FleetRow:
 
 def _message(call: ApiCall, stores: FleetAnswer) -> _Told:
     row = _row(call, stores)
-    return row.ask(lambda each: image_routes.message_answer(call, each, _missing(stores)))
+    return row.ask(
+        lambda stored_row: image_routes.message_answer(call, stored_row, _missing(stores))
+    )
 
 
 def _image(call: ApiCall, stores: FleetAnswer) -> _Told:

@@ -33,7 +33,7 @@ def message_answer(
     call: ApiCall, row: StoredRow, more: Mapping[str, Json] = MappingProxyType({})
 ) -> Bytes:
     """Return a message as JSON, with more entries after its position."""
-    known = {
+    entries = {
         "topic": row.topic,
         "time": str(row.t),
         "received": str(row.received),
@@ -48,7 +48,7 @@ def message_answer(
     }
     elements, characters = call.count("elements"), call.count("characters")
     text = MessageText(True, elements, characters, bounded=True).of(row)
-    body = f'{json.dumps(known, ensure_ascii=False)[:-1]}, "message": {text}}}'
+    body = f'{json.dumps(entries, ensure_ascii=False)[:-1]}, "message": {text}}}'
     return Bytes(body.encode("utf-8", "surrogatepass"), "application/json")
 
 

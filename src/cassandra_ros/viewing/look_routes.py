@@ -110,9 +110,9 @@ def _left_out(
     call: ApiCall, unshown: Mapping[str, str], view: View, draw: Callable[[View], Picture]
 ) -> Iterator[Json]:
     """Yield topics that cannot be shown and were asked for, or have messages in the view."""
-    asked = bool(call.texts("topics"))
-    lanes = () if asked or not unshown else draw(replace(view, topics=sorted(unshown))).lanes
-    there = unshown if asked else {lane.topic for lane in lanes if lane.times[0] is not None}
+    names_topics = bool(call.texts("topics"))
+    lanes = () if names_topics or not unshown else draw(replace(view, topics=sorted(unshown))).lanes
+    there = unshown if names_topics else {lane.topic for lane in lanes if lane.times[0] is not None}
     yield from ({"topic": topic, "text": unshown[topic]} for topic in sorted(there))
 
 
@@ -161,7 +161,7 @@ def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> J
     held = (
         WindowContent()
         if _is_named(tables)
-        else WindowContent.of_lanes(each for each in lanes if each.topic == topic)
+        else WindowContent.of_lanes(lane for lane in lanes if lane.topic == topic)
     )
     # The panels get one type; messages of other types have their own channel.
     newest = max(tables, key=lambda table: (table.metadata.date, table.name))

@@ -57,7 +57,7 @@ def _map(call: ApiCall) -> Bytes:
     store, name = call.store, call.text("topic") or ""
     topic, runs = store.getTopic(name), _writers(call)
     nodes = call.texts("nodes") or None
-    start, end = (_stamp(call, each) for each in ("start", "end"))
+    start, end = (_stamp(call, parameter) for parameter in ("start", "end"))
     resolution, scans = call.number("resolution"), call.count("scans")
     options = MapOptions(
         resolution=DEFAULT_RESOLUTION if resolution is None else resolution,
@@ -91,8 +91,8 @@ def _map(call: ApiCall) -> Bytes:
     # later than the messages recorded there.
     last, minute = topic.last(), time.time() // NEAR_KEPT_SEC
     choices = (nodes, runs, call.text("name"), options, choice, minute)
-    asked = (topic.name, str(start), str(end), *choices)
-    return call.cached(MapCache).get((*asked, topic.countTopicData(), str(last)), make)
+    cache_key = (topic.name, str(start), str(end), *choices)
+    return call.cached(MapCache).get((*cache_key, topic.countTopicData(), str(last)), make)
 
 
 def _stamp(call: ApiCall, name: str) -> Stamp | None:
@@ -110,7 +110,7 @@ def _writers(call: ApiCall) -> frozenset[int] | None:
 
 
 def _answer(made: MadeMap) -> Bytes:
-    told = {
+    description = {
         **map_info(made.map),
         "stamp": str(made.map.stamp),
         "used": made.used,
@@ -120,7 +120,7 @@ def _answer(made: MadeMap) -> Bytes:
         "sources": list(made.sources),
         "pose_topics": [offer._asdict() for offer in made.offers],
     }
-    headers = {"X-Map": json.dumps(told), "Cache-Control": "no-cache"}
+    headers = {"X-Map": json.dumps(description), "Cache-Control": "no-cache"}
     return Bytes(map_png(made.map, transparent=True), "image/png", headers)
 
 

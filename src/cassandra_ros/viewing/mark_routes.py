@@ -64,11 +64,11 @@ def _marks(call: ApiCall) -> Json:
 
 
 def listed_marks(
-    call: ApiCall, found: Iterable[Run], losses: Iterable[Loss], read: Read
+    call: ApiCall, all_runs: Iterable[Run], losses: Iterable[Loss], read: Read
 ) -> dict[str, Json]:
     """Return as JSON the losses, and the starts and ends of those runs that a read selects."""
     limit, whose, time_range = listed_at_most(call), read.whose, read.time_range
-    runs = {(run.writer, run.node): run for run in found}
+    runs = {(run.writer, run.node): run for run in all_runs}
     marks = [_of_loss(loss, runs) for loss in losses]
     for run in runs.values():
         if (whose.nodes is None or run.node in whose.nodes) and (

@@ -43,10 +43,10 @@ def _near(call: ApiCall) -> Json:
     low, high = _ends(call)
     stays_found: list[Json] = []
     nodes, writers = call.texts("nodes"), whose_of(call).writers
-    asked = places.within(_region(call), frame or places.usual_frame(), robot, nodes, writers)
+    visits = places.within(_region(call), frame or places.usual_frame(), robot, nodes, writers)
     more = False
-    for node in asked.nodes:
-        stays = asked.spans(low, high, node=node, watch=lambda: _check_waited_for(call))
+    for node in visits.nodes:
+        stays = visits.spans(low, high, node=node, watch=lambda: _check_waited_for(call))
         for start, end in itertools.islice(stays, limit - len(stays_found) + 1):
             if len(stays_found) == limit:
                 more = True

@@ -54,7 +54,7 @@ def _operation(route: Route) -> dict[str, Json]:
     error: Json = {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}
     return {
         "summary": route.summary,
-        "parameters": [_parameter(each) for each in (*route.parameters, KEYSPACE)],
+        "parameters": [_parameter(parameter) for parameter in (*route.parameters, KEYSPACE)],
         "responses": {
             "200": {"description": route.summary, "content": _content(route)},
             "default": {"description": "An error.", "content": error},

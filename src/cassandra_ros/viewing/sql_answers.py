@@ -65,12 +65,12 @@ def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Watch) -> Json:
 def _add_rows(
     cells: JsonConverter,
     rows: list[Json],
-    found: Iterator[tuple[Sequence[object], Json]],
+    rows_and_times: Iterator[tuple[Sequence[object], Json]],
     times: list[Json],
     most: tuple[int, int],
 ) -> bool:
     """Add rows up to a number and a size in bytes; return whether rows were left out."""
-    for row, time in found:
+    for row, time in rows_and_times:
         if len(rows) >= most[0] or (rows and cells.size >= most[1]):
             return True
         try:
@@ -110,7 +110,7 @@ def _plain(value: Any) -> object:
     if isinstance(value, dict):
         return to_json(printable_value(value))
     if isinstance(value, list):
-        return [_plain(each) for each in value]
+        return [_plain(element) for element in value]
     if isinstance(value, np.datetime64):
         return str(int(value.astype("M8[ns]").astype(np.int64)))
     return printable_value(value)

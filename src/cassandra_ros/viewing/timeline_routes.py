@@ -49,10 +49,10 @@ def view_of(call: ApiCall, whose: Whose) -> View:
     )
 
 
-def shown_picture(picture: Picture, known: Iterable[Run]) -> dict[str, Json]:
+def shown_picture(picture: Picture, all_runs: Iterable[Run]) -> dict[str, Json]:
     """Return a picture as JSON; its runs are named as those that are known."""
     (first, last), scale = picture.extent or (None, None), picture.scale
-    names = {run.writer: run.name for run in known}
+    names = {run.writer: run.name for run in all_runs}
     lanes: list[Json] = [_lane(lane, scale) for lane in picture.lanes]
     runs: list[Json] = [_run(span, names) for span in picture.runs]
     return {
@@ -94,7 +94,7 @@ def _lane(lane: Lane, scale: Scale | None) -> dict[str, Json]:
 
 
 def _lists(numbers: Sequence[Sequence[int]]) -> Json:
-    return [list(each) for each in numbers]
+    return [list(row) for row in numbers]
 
 
 def _run(span: RunSpan, names: dict[int, str]) -> dict[str, Json]:

@@ -69,7 +69,7 @@ class ViewedFleet:
         with self._mutex:
             for name, lost in stores.lost_at.items():
                 self._away.setdefault(name, (lost + self._pause_sec, stores.reasons[name]))
-            self._away = {name: each for name, each in self._away.items() if each[0] > now}
+            self._away = {name: absence for name, absence in self._away.items() if absence[0] > now}
 
     def picture(
         self, stores: FleetAnswer, view: View, gone: threading.Event | None = None
@@ -77,10 +77,10 @@ class ViewedFleet:
         """Draw the timeline of all stores; raises like ``names_in``."""
         names = names_in(stores, view.topics)
 
-        def drawn(part: View) -> list[Picture]:
+        def drawn(store_view: View) -> list[Picture]:
             def draw(store: str) -> Picture:
                 timeline = self._timeline(store, stores.catalogs[store])
-                return timeline.picture(replace(part, topics=names[store]), gone)
+                return timeline.picture(replace(store_view, topics=names[store]), gone)
 
             return list(stores.each({store: store for store in names}, draw).values())
 
@@ -113,11 +113,11 @@ def names_in(
     """
     if topics is None:
         return dict.fromkeys(stores.catalogs)
-    found: dict[str, list[str]] = {}
+    names_by_store: dict[str, list[str]] = {}
     for store, names in stores.each(stores.catalogs, lambda c: c.names(fresh=False)).items():
         stored = (next(filter(names.__contains__, spellings(topic)), "") for topic in topics)
-        found[store] = [name for name in stored if name]
+        names_by_store[store] = [name for name in stored if name]
     for topic in () if stores.partial else topics:
-        if not any(set(spellings(topic)).intersection(names) for names in found.values()):
+        if not any(set(spellings(topic)).intersection(names) for names in names_by_store.values()):
             find_topic(stores, topic)  # its error names the stores
-    return {store: names for store, names in found.items() if names}
+    return {store: names for store, names in names_by_store.items() if names}

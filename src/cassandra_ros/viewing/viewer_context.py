@@ -83,7 +83,7 @@ class ViewerContext:
         """Close all objects made, the last one first; a second call does nothing."""
         with self._lock:
             made, self._made = list(self._made.values()), {}
-        for each in reversed(made):
-            close = getattr(each, "close", None)
+        for resource in reversed(made):
+            close = getattr(resource, "close", None)
             if close is not None:
                 close()

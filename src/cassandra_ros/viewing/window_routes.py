@@ -118,8 +118,8 @@ def _of_nodes(
     of_them = f"NODE IN ({', '.join('?' * len(nodes))})"
     conditions: dict[str, Where] = dict(where)
     for name in names:
-        own = where.get(name)
-        conditions[name] = (of_them if own is None else f"({own}) AND {of_them}", nodes)
+        condition = where.get(name)
+        conditions[name] = (of_them if condition is None else f"({condition}) AND {of_them}", nodes)
     return conditions
 
 
@@ -169,11 +169,11 @@ def _answer(call: ApiCall, ending: str) -> Answer:
 
 
 def _compression(call: ApiCall, ending: str) -> str | None:
-    compression, known = call.text("compression"), _COMPRESSIONS[ending]
-    if compression is not None and compression not in known:
+    compression, choices = call.text("compression"), _COMPRESSIONS[ending]
+    if compression is not None and compression not in choices:
         raise InvalidOption(
             f"compression {compression[:80]!r} is not possible in {ending} files: "
-            f"give one of {', '.join(known)}"
+            f"give one of {', '.join(choices)}"
         )
     return compression
 
@@ -241,10 +241,10 @@ def _write(
 
 def _parameters(ending: str) -> tuple[Parameter, ...]:
     usual = "none" if ending == "bag" else "zstd"
-    known = ", ".join(_COMPRESSIONS[ending])
+    choices = ", ".join(_COMPRESSIONS[ending])
     parameters = (
         *SELECTION,
-        Parameter("compression", "text", f"One of {known} (default: {usual})."),
+        Parameter("compression", "text", f"One of {choices} (default: {usual})."),
         Parameter(
             "latched",
             "flag",

@@ -103,13 +103,13 @@ def jpeg_of(row: StoredRow, width: int | None = None, quality: int = 85) -> byte
     """
     msg = _message(row)
     if row.type == COMPRESSED and bytes(msg.data[:2]) == _JPEG_START:
-        own = _opened(row, bytes(msg.data)).width
-        if width is None or own <= width:
+        stored_width = _opened(row, bytes(msg.data)).width
+        if width is None or stored_width <= width:
             return bytes(msg.data)
-    picture, found = picture_of(row, width), io.BytesIO()
+    picture, jpeg = picture_of(row, width), io.BytesIO()
     picture.thumbnail((_MAX_JPEG, _MAX_JPEG))
-    picture.save(found, "JPEG", quality=quality)
-    return found.getvalue()
+    picture.save(jpeg, "JPEG", quality=quality)
+    return jpeg.getvalue()
 
 
 def _message(row: StoredRow) -> Any:
@@ -188,9 +188,9 @@ def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     with np.errstate(over="ignore", invalid="ignore"):
         if not np.isfinite(greatest - least):
             exact, least, greatest = exact / 2, least / 2, greatest / 2
-        part = (exact - least) / (greatest - least or 1.0)
-    part[~finite] = 0
-    scaled: np.ndarray[Any, Any] = np.rint(part * 255).astype(np.uint8)
+        fraction = (exact - least) / (greatest - least or 1.0)
+    fraction[~finite] = 0
+    scaled: np.ndarray[Any, Any] = np.rint(fraction * 255).astype(np.uint8)
     return scaled
 
 
@@ -223,8 +223,8 @@ def _from_yuv(row: StoredRow, samples: np.ndarray[Any, Any], kind: str) -> Image
 def _picture(values: np.ndarray[Any, Any]) -> Image:
     """Make a picture of bytes: grey from two dimensions, RGB from three."""
     image = optional_module("PIL.Image", "a picture")
-    found: Image = image.fromarray(np.ascontiguousarray(values))
-    return found
+    picture: Image = image.fromarray(np.ascontiguousarray(values))
+    return picture
 
 
 def _decompressed(row: StoredRow, msg: Any, width: int | None) -> Image:

@@ -54,16 +54,16 @@ class Line(NamedTuple):
 
 def lines_of(series: Sequence[Series]) -> Sequence[Line]:
     """Return the lines of some statements; of several topics, labelled with the topic."""
-    topics = {each.topic for each in series}
+    topics = {topic_series.topic for topic_series in series}
     lines = []
-    for each in series:
-        times = each.points.times
-        after_gap = each.breaks + 1
+    for topic_series in series:
+        times = topic_series.points.times
+        after_gap = topic_series.breaks + 1
         broken = np.insert(times, after_gap, times[after_gap - 1])
-        for n, column in enumerate(each.columns):
-            ends = (each.points.low[n], each.points.high[n])
+        for n, column in enumerate(topic_series.columns):
+            ends = (topic_series.points.low[n], topic_series.points.high[n])
             low, high = (np.insert(end, after_gap, np.nan) for end in ends)
-            label = column.name if len(topics) == 1 else f"{each.topic} {column.name}"
+            label = column.name if len(topics) == 1 else f"{topic_series.topic} {column.name}"
             lines.append(Line(label, column.unit, broken, low, high))
     return lines
 
@@ -95,20 +95,22 @@ def curves_of(series: Sequence[Series], names: tuple[str, str]) -> Sequence[Curv
         InvalidOption: A statement has no numeric column with such a name.
     """
     curves = []
-    for each in series:
-        known = [column.name for column in each.columns]
+    for topic_series in series:
+        column_names = [column.name for column in topic_series.columns]
         for name in names:
-            if name not in known:
-                told = ", ".join(known) or "no column that is a number"
-                raise InvalidOption(f"--xy {name}: the statement on {each.topic} has {told}")
-        places = [known.index(name) for name in names]
-        after_gap = each.breaks + 1
+            if name not in column_names:
+                choices = ", ".join(column_names) or "no column that is a number"
+                raise InvalidOption(
+                    f"--xy {name}: the statement on {topic_series.topic} has {choices}"
+                )
+        places = [column_names.index(name) for name in names]
+        after_gap = topic_series.breaks + 1
         low, high = (
             np.insert(ends[places], after_gap, np.nan, axis=1)
-            for ends in (each.points.low, each.points.high)
+            for ends in (topic_series.points.low, topic_series.points.high)
         )
-        columns = each.columns[places[0]], each.columns[places[1]]
-        curves.append(Curve(each.topic, columns, low, high))
+        columns = topic_series.columns[places[0]], topic_series.columns[places[1]]
+        curves.append(Curve(topic_series.topic, columns, low, high))
     return curves
 
 
@@ -198,7 +200,9 @@ def draw_plot(
     """
     lines = lines_of(series)
     if not lines:
-        reasons = [f"{u.name} is {u.reason}" for each in series for u in each.left_out]
+        reasons = [
+            f"{u.name} is {u.reason}" for topic_series in series for u in topic_series.left_out
+        ]
         raise InvalidOption(
             f"no column can be drawn: {'; '.join(reasons) or 'there are no columns'}"
         )

@@ -51,7 +51,7 @@ def beams_of_echoes(scan: Any, max_range: float | None) -> Beams:
 
     A beam without an echo is ignored; otherwise like beams_of_scan.
     """
-    first = [each.echoes[0] if len(each.echoes) else math.nan for each in scan.ranges]
+    first = [beam.echoes[0] if len(beam.echoes) else math.nan for beam in scan.ranges]
     return _beams(scan, np.array(first, np.float64), max_range)
 
 
@@ -64,13 +64,13 @@ def _beams(scan: Any, ranges: Floats, max_range: float | None) -> Beams:
         valid = (ranges > 0) & (ranges >= scan.range_min) & (ranges < most)
         nothing = (ranges == most) | np.isposinf(ranges) | (valid & (ranges > limit))
     hit = valid & ~nothing
-    told = hit | nothing if math.isfinite(limit) else hit
-    told &= np.isfinite(angles)
-    lengths = np.where(hit, ranges, limit)[told]
-    angles = angles[told]
+    is_used = hit | nothing if math.isfinite(limit) else hit
+    is_used &= np.isfinite(angles)
+    lengths = np.where(hit, ranges, limit)[is_used]
+    angles = angles[is_used]
     flat = np.zeros_like(lengths)
     ends = np.stack([lengths * np.cos(angles), lengths * np.sin(angles), flat], 1)
-    return Beams(ends, hit[told])
+    return Beams(ends, hit[is_used])
 
 
 def beams_of_cloud(cloud: Any, max_range: float | None) -> Beams:

@@ -97,8 +97,8 @@ class LogOddsGrid:
                 f"the map would reach {np.abs(points).max():g} m from the origin of its frame: "
                 "give a shorter max_range"
             )
-        found: Cells = cells.astype(np.int64)
-        return found
+        indexes: Cells = cells.astype(np.int64)
+        return indexes
 
     def _cover(self, low: Cells, high: Cells) -> None:
         """Grow the array so that it contains the cells from low to high."""

@@ -159,8 +159,8 @@ def makeMap(
         InvalidKey: A time is invalid.
     """
     stored = rosCas.getTopic(topic)
-    each = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
-    nodes = [None if node is None else check_node(node) for node in each]
+    node_ids = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
+    nodes = [None if node is None else check_node(node) for node in node_ids]
     writers = rosCas.catalog.keyspace.runs.writers(run)
     rows = _SelectedRows(stored, key, to_key, nodes, writers)
     if event is not None:
@@ -211,7 +211,7 @@ class _SelectedRows:
     def read(self, reverse: bool = False, limit: int | None = None) -> Iterator[StoredRow]:
         if self.parts is not None:
             parts = reversed(self.parts) if reverse else self.parts
-            directed = (replace(part, reverse=reverse, wanted=limit) for part in parts)
+            directed = (replace(event_read, reverse=reverse, wanted=limit) for event_read in parts)
             return islice(chain.from_iterable(map(self.topic.read, directed)), limit)
         read = partial(self.topic.rows, self.key, self.to_key, run=self.writers, limit=limit)
         streams = [read(nodeID=node, reverse=reverse) for node in self.nodes]
@@ -225,7 +225,7 @@ class _SelectedRows:
 
     def some_times(self, node: str) -> list[int]:
         """Return the row keys of the first, a middle and the last message of a robot, ns."""
-        parts = self.parts and [part for part in self.parts if _is_of(part, node)]
+        parts = self.parts and [event_read for event_read in self.parts if _is_of(event_read, node)]
         mine = replace(self, nodes=[node], parts=parts)
         first, last = (next((row.t for row in mine.read(way, 1)), 0) for way in (False, True))
         later = replace(mine, key=Stamp.from_ns((first + last) // 2), to_key=None)
@@ -234,8 +234,8 @@ class _SelectedRows:
         return [first, next((row.t for row in later.read(limit=1)), last), last]
 
 
-def _is_of(part: Read, node: str) -> bool:
-    return part.whose.nodes is None or node in part.whose.nodes
+def _is_of(read: Read, node: str) -> bool:
+    return read.whose.nodes is None or node in read.whose.nodes
 
 
 def _stored_map(wanted: _SelectedRows, name: str | None) -> MadeMap:
@@ -333,23 +333,24 @@ class _MapBuilder:
             mine, times = self._wanted.measured(self._catalog, node), self._wanted.some_times(node)
             self._robots[node] = SensorPoses(self._choice, mine, times)
         robot = self._robots[node]
-        keys = np.array([each.key for each in measured], np.int64)
-        stamps = np.array([each.stamp for each in measured], np.int64)
+        keys = np.array([measurement.key for measurement in measured], np.int64)
+        stamps = np.array([measurement.stamp for measurement in measured], np.int64)
         placed = robot.at(sensor, keys, stamps)
         self._frames[f"{sensor} of {node}" if node else sensor] = robot.of(sensor).frame
         self._check_frames()
-        for number, (each, known) in enumerate(zip(measured, placed.known)):
-            if known:
-                self._draw(placed.poses.take(slice(number, number + 1)), each)
+        for number, (measurement, has_pose) in enumerate(zip(measured, placed.known)):
+            if has_pose:
+                self._draw(placed.poses.take(slice(number, number + 1)), measurement)
             else:
                 self._without_pose += 1
-                self._lost = self._lost or (robot.of(sensor), each)
+                self._lost = self._lost or (robot.of(sensor), measurement)
 
     def _check_frames(self) -> None:
         if len(set(self._frames.values())) > 1:
-            told = ", ".join(f"{who} in {frame}" for who, frame in self._frames.items())
+            frames = ", ".join(f"{who} in {frame}" for who, frame in self._frames.items())
             raise InvalidOption(
-                f"the poses lie in several frames ({told}): give the frame that all have, or a node"
+                f"the poses lie in several frames ({frames}): give the frame that all have, or "
+                "a node"
             )
 
     def _draw(self, pose: Rigid, measured: _Measurement) -> None:

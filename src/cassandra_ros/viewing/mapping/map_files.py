@@ -60,7 +60,7 @@ def save_map(made: OccupancyMap, path: str | Path) -> tuple[Path, Path]:
     write_whole(image, head.encode("ascii") + trinary(made).tobytes())
     # For map_server a pixel is free if its darkness is below free_thresh. The darkness of the
     # grey for unknown is 0.19608.
-    told = {
+    entries = {
         "image": image.name,
         "resolution": made.resolution,
         "origin": [made.x, made.y, made.yaw],
@@ -68,18 +68,18 @@ def save_map(made: OccupancyMap, path: str | Path) -> tuple[Path, Path]:
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
     }
-    text = yaml.safe_dump(told, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
     write_whole(description, text.encode("utf-8"))
     return image, description
 
 
 def write_whole(path: Path, data: bytes) -> None:
     """Write a file atomically: other processes see the old or the new file."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with open(new_file(part), "wb") as file:
+        with open(new_file(draft), "wb") as file:
             file.write(data)
-        part.replace(path)
+        draft.replace(path)
     finally:
         with suppress(FileNotFoundError):
-            part.unlink()
+            draft.unlink()

@@ -73,8 +73,8 @@ class Measurements:
         shares = dict.fromkeys(names, 0.0)
         nodes = None if self.node is None else [self.node]
         timeline, whose = Timeline(self.catalog), Whose(nodes, self.writers)
-        own = View(self.start, self.end, 1, [self.topic], whose)
-        window = timeline.picture(own).scale
+        whole_view = View(self.start, self.end, 1, [self.topic], whose)
+        window = timeline.picture(whole_view).scale
         if window is None:
             return shares
         # Poses shortly before the first and after the last message are needed too.
@@ -87,11 +87,11 @@ class Measurements:
         counts = {name: np.zeros(scale.cells) for name in [self.topic, *names]}
         for lane in picture.lanes:
             counts[lane.topic] += lane.cells(scale).counts
-        asked = _inside(counts[self.topic], scale, window)
-        if asked.any():
+        message_counts = _inside(counts[self.topic], scale, window)
+        if message_counts.any():
             for name in names:
                 covered = _covered(counts[name] > 0, gap_ns / scale.step)
-                shares[name] = float(asked[covered].sum() / asked.sum())
+                shares[name] = float(message_counts[covered].sum() / message_counts.sum())
         return shares
 
 
@@ -112,8 +112,8 @@ def _covered(filled: Bools, gap: float) -> Bools:
     cells: Longs = np.arange(len(filled))
     before = np.maximum.accumulate(np.where(filled, cells, -len(cells)))
     after = np.minimum.accumulate(np.where(filled, cells, 2 * len(cells))[::-1])[::-1]
-    known = (before >= 0) & (after < len(cells))
-    return np.asarray(known & (after - before <= gap + 1))
+    has_both = (before >= 0) & (after < len(cells))
+    return np.asarray(has_both & (after - before <= gap + 1))
 
 
 def merge_offers(robots: Iterable[Sequence[PoseOffer]]) -> list[PoseOffer]:
@@ -121,9 +121,9 @@ def merge_offers(robots: Iterable[Sequence[PoseOffer]]) -> list[PoseOffer]:
 
     Of each topic the offer with most messages.
     """
-    found: dict[str, PoseOffer] = {}
+    offer_of: dict[str, PoseOffer] = {}
     for offer in (offer for offers in robots for offer in offers):
-        other = found.get(offer.topic, offer)
+        other = offer_of.get(offer.topic, offer)
         share, taken = max(offer.share, other.share), offer.taken or other.taken
-        found[offer.topic] = PoseOffer(offer.topic, share, taken)
-    return list(found.values())
+        offer_of[offer.topic] = PoseOffer(offer.topic, share, taken)
+    return list(offer_of.values())

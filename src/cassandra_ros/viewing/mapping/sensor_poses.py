@@ -133,23 +133,23 @@ class SensorPoses:
         self.offers = self.offers or self._pose_offers()
         topic = self._catalog.get(choice.odom or self._best_topic(sensor)).name
         self.offers = [offer._replace(taken=offer.topic == topic) for offer in self.offers]
-        told = PoseTopic(self._catalog.get, topic, self._node, self._writers)
+        odometry = PoseTopic(self._catalog.get, topic, self._node, self._writers)
         offset, how = self._offset(topic, sensor)
-        if choice.frame and told.frame and choice.frame.strip("/") != told.frame:
+        if choice.frame and odometry.frame and choice.frame.strip("/") != odometry.frame:
             raise InvalidOption(
-                f"topic {topic} tells poses in frame {told.frame}, not in {choice.frame}: leave "
-                "the frame out, or leave it to tf"
+                f"topic {topic} tells poses in frame {odometry.frame}, not in {choice.frame}: "
+                "leave the frame out, or leave it to tf"
             )
         self._sources[sensor] = f"{topic}, {how}"
-        frame = (choice.frame or "").strip("/") or told.frame or FRAMES[1]
+        frame = (choice.frame or "").strip("/") or odometry.frame or FRAMES[1]
         placed = PoseTopic(self._catalog.get, topic, self._node, self._writers, offset, frame)
         return Poses(placed, choice.longest_gap_sec)
 
     def _stands(self, sensor: str) -> bool:
         """Return whether the map is in the sensor's own frame, in which it never moves."""
         choice = self._choice
-        own = choice.frame is not None and choice.frame.strip("/") == sensor.strip("/")
-        return own and not choice.odom and choice.sensor_offset is None
+        is_own_frame = choice.frame is not None and choice.frame.strip("/") == sensor.strip("/")
+        return is_own_frame and not choice.odom and choice.sensor_offset is None
 
     def _best(self, sensor: str, above: Sequence[str]) -> str | None:
         """Return the best ancestor frame of a sensor for the map; None if a topic is better."""
