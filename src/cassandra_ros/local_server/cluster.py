@@ -275,7 +275,7 @@ class LocalCluster:
         # A start without data has created some system keyspaces; those do not count.
         data = node.directory / "data"
         if not node.is_being_replaced and any(
-            not each.name.startswith("system") for each in data.glob("*/")
+            not folder.name.startswith("system") for folder in data.glob("*/")
         ):
             raise ServerError(
                 f"Cassandra node {node.number} has data in {node.directory}: start it; where they "
@@ -455,7 +455,7 @@ class LocalCluster:
         offset, java = log_size(node), self._check([node])
         self._start_node(replace(node, settings=self.settings), java, die_with_us)
         self._await_answer(node, offset)
-        offsets = {each.number: 0 for each in self.nodes}
+        offsets = {member.number: 0 for member in self.nodes}
         self._await_neighbours([node.number], {**offsets, node.number: offset})
 
     def _await_answer(self, node: Node, offset: int, limit_sec: float | None = None) -> None:

@@ -166,10 +166,10 @@ def change_settings(
 
 def parse_heap(text: str) -> int:
     """Return a heap size such as 512M or 2G in MiB; a bare number is MiB."""
-    found = re.fullmatch(r"(\d+)\s*([mMgG]?)(?:i?[bB])?", text.strip())
-    if not found:
+    match = re.fullmatch(r"(\d+)\s*([mMgG]?)(?:i?[bB])?", text.strip())
+    if not match:
         raise ServerError(f"--heap {text}: write a size such as 512M or 2G")
-    return int(found.group(1)) * (1024 if found.group(2) in ("g", "G") else 1)
+    return int(match.group(1)) * (1024 if match.group(2) in ("g", "G") else 1)
 
 
 def check_settings(settings: ClusterSettings) -> ClusterSettings:

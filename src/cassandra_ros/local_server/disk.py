@@ -45,7 +45,7 @@ def local_directory(host: str, port: int) -> Path | None:
         return None
     if _is_at(default_directory(), address, port):
         return default_directory()
-    return next((found for found in _running() if _is_at(found, address, port)), None)
+    return next((directory for directory in _running() if _is_at(directory, address, port)), None)
 
 
 def local_nodes(directory: Path) -> int:

@@ -72,10 +72,10 @@ def server_file(name: str) -> Path:
 def cassandra_version() -> str:
     """Return the version of Cassandra that server/pom.xml names."""
     pom = server_file("pom.xml")
-    found = re.search(r"<cassandra\.version>([\w.-]+)</", pom.read_text(encoding="utf-8"))
-    if not found:
+    match = re.search(r"<cassandra\.version>([\w.-]+)</", pom.read_text(encoding="utf-8"))
+    if not match:
         raise ServerError(f"{pom} names no cassandra.version; restore the file")
-    return found.group(1)
+    return match.group(1)
 
 
 def jars_installed() -> bool:
@@ -268,8 +268,8 @@ def find_java() -> str:
 
 def java_version(path: str) -> int:
     """Return the major version of a `java`; 0 = it cannot be run."""
-    found = re.search(r'version "(?:1\.)?(\d+)', run_program([path, "-version"], 30)[1])
-    return int(found.group(1)) if found else 0
+    match = re.search(r'version "(?:1\.)?(\d+)', run_program([path, "-version"], 30)[1])
+    return int(match.group(1)) if match else 0
 
 
 def _candidates() -> list[str]:

@@ -26,11 +26,11 @@ _EXPORTS = (
 
 def module_options() -> list[str]:
     """Return the options that allow Cassandra's classes to use internal packages of Java."""
-    found = []
+    options = []
     for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
         for package in packages.split():
-            found += [option, f"{package}=ALL-UNNAMED"]
-    return found
+            options += [option, f"{package}=ALL-UNNAMED"]
+    return options
 
 
 def run_to_end(

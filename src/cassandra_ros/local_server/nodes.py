@@ -126,7 +126,11 @@ class Node:
         What was written last is missing: it is only in the commit log and in memory.
         """
         folders = sorted((self.directory / "data").glob("*/"))
-        return {each.name: size_of(each) for each in folders if not each.name.startswith("system")}
+        return {
+            folder.name: size_of(folder)
+            for folder in folders
+            if not folder.name.startswith("system")
+        }
 
     def hint_bytes(self) -> int:
         """Return the size of the writes that wait on this node for nodes that were away, bytes."""
@@ -152,7 +156,7 @@ class Node:
             numbers.remove(self.number)
         seeds = ",".join(f"{settings.address(n)}:{settings.storage_port}" for n in sorted(numbers))
         seed_provider = "org.apache.cassandra.locator.SimpleSeedProvider"
-        own = {
+        values = {
             "cluster_name": settings.cluster_name,
             "initial_token": (self.number - 1) * (_RING // settings.nodes) - (_RING >> 1),
             "listen_address": self.address,
@@ -164,13 +168,13 @@ class Node:
             "memtable_offheap_space": f"{max(128, settings.java_heap_mb // 4)}MiB",
         }
         if self.replaced:
-            own["auto_bootstrap"] = True
+            values["auto_bootstrap"] = True
         if settings.secure:
-            own.update(self.security.yaml())
+            values.update(self.security.yaml())
         common = server_file("cassandra.yaml").read_text(encoding="utf-8")
         note = "# Written at every start of the local Cassandra; changes here are lost.\n"
         # JSON is valid YAML.
-        return note + common + "".join(f"{k}: {json.dumps(value)}\n" for k, value in own.items())
+        return note + common + "".join(f"{k}: {json.dumps(value)}\n" for k, value in values.items())
 
     def command(self, java: str, jars: Path) -> list[str]:
         """Return the command line of the node's server."""
@@ -209,8 +213,8 @@ class Node:
 def archive_name(java: str) -> str:
     """Return the beginning of the name of the archive of Cassandra's classes for a `java`."""
     program = Path(java).resolve()
-    told = f"{program} {program.stat().st_size} {program.stat().st_mtime_ns}"
-    return f"classes-{hashlib.sha256(told.encode()).hexdigest()[:16]}"
+    program_state = f"{program} {program.stat().st_size} {program.stat().st_mtime_ns}"
+    return f"classes-{hashlib.sha256(program_state.encode()).hexdigest()[:16]}"
 
 
 def find_archive(java: str, jars: Path) -> Path | None:

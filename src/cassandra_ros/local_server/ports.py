@@ -56,7 +56,7 @@ def await_the_dead(host: str, port: int) -> bool:
     """
     deadline = time.monotonic() + _DYING_SEC
     while not is_free(host, port):
-        pids = [found.pid for found in _sockets(port, psutil.CONN_LISTEN, host)]
+        pids = [listener.pid for listener in _sockets(port, psutil.CONN_LISTEN, host)]
         if time.monotonic() > deadline or any(pid and command_line(pid) for pid in pids):
             return False
         time.sleep(0.05)
@@ -65,8 +65,8 @@ def await_the_dead(host: str, port: int) -> bool:
 
 def port_owner(port: int, host: str = "") -> str:
     """Describe the process that listens on a TCP port of this machine; host '' = any address."""
-    for found in _sockets(port, psutil.CONN_LISTEN, host):
-        return describe_process(found.pid) if found.pid else "a process of another user"
+    for listener in _sockets(port, psutil.CONN_LISTEN, host):
+        return describe_process(listener.pid) if listener.pid else "a process of another user"
     return "an unknown process"
 
 
@@ -79,9 +79,9 @@ def _sockets(port: int, state: str, host: str = "") -> list[Any]:
     """Return the sockets of a local port that are in a state; host '' = all addresses."""
     addresses = (socket.gethostbyname(host), "0.0.0.0", "::")  # noqa: S104 - compared, not bound
     return [
-        found
-        for found in psutil.net_connections("tcp")
-        if found.status == state
-        and found.laddr.port == port
-        and (not host or found.laddr.ip.replace("::ffff:", "") in addresses)
+        connection
+        for connection in psutil.net_connections("tcp")
+        if connection.status == state
+        and connection.laddr.port == port
+        and (not host or connection.laddr.ip.replace("::ffff:", "") in addresses)
     ]

@@ -111,15 +111,15 @@ def check_port(node: Node) -> None:
 
 def choose_storage_port(settings: ClusterSettings, addresses: list[str]) -> int:
     """Return a port for the traffic between the nodes that is free on all their addresses."""
-    known = settings.storage_port
-    if known and all(ports.await_the_dead(address, known) for address in addresses):
-        return known
-    if known and settings.nodes > 1:
+    port = settings.storage_port
+    if port and all(ports.await_the_dead(address, port) for address in addresses):
+        return port
+    if port and settings.nodes > 1:
         # The nodes have stored each other's addresses with this port.
-        taken = next((address for address in addresses if not ports.is_free(address, known)), "")
+        taken = next((address for address in addresses if not ports.is_free(address, port)), "")
         raise ServerError(
-            f"port {known}, by which the nodes speak to each other, is taken by "
-            f"{ports.port_owner(known, taken)}; end that first"
+            f"port {port}, by which the nodes speak to each other, is taken by "
+            f"{ports.port_owner(port, taken)}; end that first"
         )
     return ports.free_port(*addresses)
 
@@ -184,9 +184,9 @@ def explain_failure(node: Node, offset: int) -> str:
     if any(word in printed for word in ("Error", "Exception")) and "ERROR" not in logged:
         source, text = node.console, printed
     lines = text.strip().splitlines()[-_TAIL_LINES:] or ["(nothing was logged)"]
-    found = [f"Reason: {reason}."] if reason else []
+    reason_lines = [f"Reason: {reason}."] if reason else []
     return "\n".join(
-        [*found, f"The last lines of {source}:", *(f"  {line[:300]}" for line in lines)]
+        [*reason_lines, f"The last lines of {source}:", *(f"  {line[:300]}" for line in lines)]
     )
 
 

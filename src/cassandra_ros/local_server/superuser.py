@@ -67,9 +67,9 @@ def _move(draft: Path, node: Path) -> None:
     node.mkdir(mode=0o700, exist_ok=True)
     (node / _TABLE).mkdir(parents=True, exist_ok=True)
     # Cassandra finds a file of a table by its part Data.db, which is therefore moved last.
-    for part in sorted(draft.iterdir(), key=lambda path: path.name.endswith("Data.db")):
-        version, _, rest = part.name.split("-", 2)
-        os.replace(part, node / _TABLE / f"{version}-{_GENERATION}-{rest}")
+    for file in sorted(draft.iterdir(), key=lambda path: path.name.endswith("Data.db")):
+        version, _, rest = file.name.split("-", 2)
+        os.replace(file, node / _TABLE / f"{version}-{_GENERATION}-{rest}")
     (node / _MARK).touch()
 
 
