@@ -95,7 +95,9 @@ def _fields(ros_cas: RosCassandra, options: argparse.Namespace) -> Iterable[str]
     topics = [named] if isinstance(named, str) else named
     tables = (table for name in topics for table in ros_cas.getTopic(name).tables)
     definitions = (table.definition for table in tables)
-    return {field.column for each in definitions if each for field in all_fields(each)}
+    return {
+        field.column for definition in definitions if definition for field in all_fields(definition)
+    }
 
 
 def _runs(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str]:

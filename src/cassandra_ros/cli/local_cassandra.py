@@ -78,8 +78,8 @@ def start(options: argparse.Namespace) -> int:
 def _say_memory(cluster: LocalCluster) -> None:
     taken = [status.memory_bytes for status in cluster.status()]
     if len(taken) > 1:
-        each = ", ".join(map(format_bytes, taken))
-        say(f"the {len(taken)} nodes take {format_bytes(sum(taken))} of memory now ({each})")
+        sizes = ", ".join(map(format_bytes, taken))
+        say(f"the {len(taken)} nodes take {format_bytes(sum(taken))} of memory now ({sizes})")
 
 
 def _say_login(cluster: LocalCluster) -> None:
@@ -126,9 +126,9 @@ def status(options: argparse.Namespace) -> int:
     if not nodes:
         say(f"no Cassandra was ever started in {cluster.directory}")
         return EXIT_NOT_RUNNING
-    for each in nodes:
-        say(_describe(each))
-        _say_holdings(each.node)
+    for node_status in nodes:
+        say(_describe(node_status))
+        _say_holdings(node_status.node)
     free = shutil.disk_usage(cluster.directory).free
     heap = f"heap {cluster.settings.java_heap_mb}M a node"
     say(f"directory {cluster.directory}, {format_bytes(free)} free, {heap}")

@@ -358,8 +358,8 @@ def _local_directories(options: argparse.Namespace) -> list[Path]:
     from cassandra_ros.local_server.disk import local_directory
 
     hosts, port = store_place(options)
-    found = (local_directory(host, port) for host in hosts)
-    return sorted({directory for directory in found if directory is not None})
+    directories = (local_directory(host, port) for host in hosts)
+    return sorted({directory for directory in directories if directory is not None})
 
 
 def _trouble(directories: Sequence[Path]) -> str:
@@ -373,8 +373,8 @@ def _own_login(directories: Sequence[Path]) -> str:
     from cassandra_ros.local_server import LocalCluster
 
     files = (LocalCluster(directory).security.cqlshrc for directory in directories)
-    found = next((file for file in files if os.access(file, os.R_OK)), None)
-    return f"; or give --cqlshrc {found} (roslaunch: secure:=true)" if found else ""
+    cqlshrc = next((file for file in files if os.access(file, os.R_OK)), None)
+    return f"; or give --cqlshrc {cqlshrc} (roslaunch: secure:=true)" if cqlshrc else ""
 
 
 def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
@@ -447,7 +447,7 @@ def add_where_option(parser: argparse.ArgumentParser | argparse._ArgumentGroup) 
 
 def read_pair(text: str, sign: str, form: str) -> tuple[str, str]:
     """Parse two texts with a separator between them, for argparse."""
-    left, _, right = (part.strip() for part in text.partition(sign))
+    left, _, right = (word.strip() for word in text.partition(sign))
     if not (left and right):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form {form}")
     return left, right

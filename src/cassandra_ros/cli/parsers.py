@@ -92,8 +92,8 @@ class Parser(argparse.ArgumentParser):
         return list(map(str, [*options, *["--"] * bool(behind), *behind]))
 
     def _report_unknown(self, word: str) -> NoReturn:
-        known = [name for action in self._actions for name in action.option_strings]
-        hint = _nearest(word.split("=")[0], known)
+        names = [name for action in self._actions for name in action.option_strings]
+        hint = _nearest(word.split("=")[0], names)
         if not hint:
             hint = f"; what begins with - and is no option goes after --, as in: -- {word}"
         self.error(f"unrecognized arguments: {word}{hint}")
@@ -112,8 +112,8 @@ _LIKE_OPTION = re.compile(r"-(?!\.?[0-9])\S+$")
 """A word that is an option or a misspelt one: not -, a negative number, or a text with blanks."""
 
 
-def _nearest(word: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(word, known, n=1)
+def _nearest(word: str, names: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, names, n=1)
     return f": did you mean {near[0]}?" if near else ""
 
 
@@ -220,16 +220,16 @@ def verbs_parser(
     verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, verb in verbs.items():
         doc = inspect.getdoc(verb) or ""
-        found = verb_parsers.add_parser(
+        verb_parser = verb_parsers.add_parser(
             name,
             help=doc.splitlines()[0],
             description=doc,
             epilog=_closing(program, more),
             formatter_class=_RAW,
         )
-        found.set_defaults(parser=found)
-        parser.verbs[name] = found
-        add_arguments(name, found)
+        verb_parser.set_defaults(parser=verb_parser)
+        parser.verbs[name] = verb_parser
+        add_arguments(name, verb_parser)
     return parser
 
 
@@ -237,5 +237,5 @@ def version() -> str:
     """Return the version that package.xml states."""
     file = shipped_file("package.xml")
     text = file.read_text("utf-8") if file.is_file() else ""
-    found = re.search(r"<version>([^<]+)</version>", text)
-    return found[1] if found else "unknown"
+    match = re.search(r"<version>([^<]+)</version>", text)
+    return match[1] if match else "unknown"

@@ -254,7 +254,7 @@ def read_where(text: str) -> tuple[str, str]:
     """Parse 'TOPIC: CONDITION'. Return a pattern of topics and the condition."""
     from cassandra_ros.recording.topic_settings import check_condition
 
-    topic, colon, condition = (part.strip() for part in text.partition(":"))
+    topic, colon, condition = (word.strip() for word in text.partition(":"))
     if not (topic and colon and condition):
         raise InvalidOption(f"{text!r} is not of the form 'TOPIC: CONDITION'")
     return check_pattern(topic), check_condition(condition)
@@ -295,12 +295,12 @@ def words_of(
     Parameters that the command line gives, too, are left out, and those that select topics if it
     selects topics; only lists get the values of both.
     """
-    known = {action.dest: action for action in parser._actions}
+    actions = {action.dest: action for action in parser._actions}
     chosen = bool(given.topics or given.all or given.node)
     words: list[str] = []
     for name, value in parameters.items():
         dest = {"name": "output_name", "label": "labels"}.get(name, name)
-        action = known.get(dest)
+        action = actions.get(dest)
         if action is None or dest in _NO_PARAMETERS:
             parser.error(f"there is no parameter ~{name}: parameters are called like options")
         if dest in parser.given or (dest in ("topics", "all", "node") and chosen):
@@ -317,7 +317,7 @@ def words_of(
             except argparse.ArgumentTypeError as exc:
                 parser.error(f"parameter ~{name}: {exc}")
         else:
-            words += [f"{action.option_strings[-1]}={each}" for each in values if each != ""]
+            words += [f"{action.option_strings[-1]}={text}" for text in values if text != ""]
     return words
 
 
@@ -372,7 +372,7 @@ def local_space(hosts: Sequence[str]) -> Callable[[], int | None] | None:
     from cassandra_ros.local_server.jars import default_directory
 
     data = default_directory()
-    if not all(each.startswith(_LOOPBACK) for each in hosts):
+    if not all(host.startswith(_LOOPBACK) for host in hosts):
         return None
     # Checked at each call: the local Cassandra may be created while the recorder waits for it.
     return lambda: shutil.disk_usage(data).free if data.is_dir() else None
@@ -402,7 +402,7 @@ def main() -> int:
         with open_store(options, make=True) as ros_cas:
             plan = make_plan(ros_cas.catalog, chosen)
         print(plan_table(plan, chosen))
-        return _tell_problems([each.problem for each in plan if each.problem])
+        return _tell_problems([topic_plan.problem for topic_plan in plan if topic_plan.problem])
     place = KeyspaceAddress(store_place(options)[0], options.keyspace)
     with awaited_store(options, StoreWait(_log.warning, _meanwhile(chosen))) as store:
         show = line.show if line.shows else None

@@ -152,18 +152,20 @@ def plan_table(plan: Sequence[PlannedTopic], options: RecorderOptions) -> str:
     names = ("topic", "type", "format", "ttl", "table", "settings")
     rows = [
         (
-            shown(each.topic),
-            shown(each.msg_type or "?"),
-            each.format,
-            f"{each.ttl} s" if each.ttl else "never",
-            "there" if each.stored else "new",
-            shown("; ".join(each.settings)) or "-",
+            shown(topic_plan.topic),
+            shown(topic_plan.msg_type or "?"),
+            topic_plan.format,
+            f"{topic_plan.ttl} s" if topic_plan.ttl else "never",
+            "there" if topic_plan.stored else "new",
+            shown("; ".join(topic_plan.settings)) or "-",
         )
-        for each in plan
+        for topic_plan in plan
     ]
     lines = [f"run {shown(options.run_name(0))}"]
     lines += [f"label {shown(key)}={shown(value)}" for key, value in options.labels.items()]
     lines.append(format_table(names, rows) if rows else "no topic would be recorded now")
-    for each in plan:
-        lines += [f"{shown(each.topic)} {shown(text, None)}" for text in each.differences]
+    for topic_plan in plan:
+        lines += [
+            f"{shown(topic_plan.topic)} {shown(text, None)}" for text in topic_plan.differences
+        ]
     return "\n".join(lines)

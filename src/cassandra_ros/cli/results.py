@@ -71,8 +71,8 @@ def _is_number(value: object) -> bool:
 
 
 def _are_numbers(kinds: Sequence[bool | None]) -> bool:
-    found = [number for number in kinds if number is not None]
-    return bool(found) and all(found)
+    known_kinds = [number for number in kinds if number is not None]
+    return bool(known_kinds) and all(known_kinds)
 
 
 def _cell(value: object) -> str:
@@ -95,7 +95,7 @@ def _text(value: object) -> str:
         # More elements than characters are never shown.
         return "[" + ", ".join(_text(element) for element in value[:MAX_CELL]) + "]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {_text(each)}" for name, each in value.items()) + "}"
+        return "{" + ", ".join(f"{name}: {_text(element)}" for name, element in value.items()) + "}"
     return "-" if value is None else repr(value)
 
 
@@ -186,8 +186,8 @@ def write_parquet(columns: ColumnTypes, rows: Rows, stream: IO[bytes]) -> None:
     )
     with parquet.ParquetWriter(stream, schema) as writer:
         for group in chain([first] if first else [], groups):
-            found = zip(schema, kinds, zip(*group))
-            arrays = [_array(arrow, field, kind, values) for field, kind, values in found]
+            fields = zip(schema, kinds, zip(*group))
+            arrays = [_array(arrow, field, kind, values) for field, kind, values in fields]
             writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
 
 
@@ -252,9 +252,9 @@ def _array(
     arrow: ModuleType, field: pyarrow.Field, kind: ArrayType, values: Sequence[object]
 ) -> pyarrow.Array:
     mixed = kind.kind == "mixed"
-    found = [to_json(v) if mixed and v is not None else _plain(v) for v in values]
+    plain_values = [to_json(v) if mixed and v is not None else _plain(v) for v in values]
     try:
-        return arrow.array(found, field.type)
+        return arrow.array(plain_values, field.type)
     except (arrow.ArrowException, OverflowError) as exc:
         raise InvalidOption(
             f"column {field.name} cannot be written as Parquet's {field.type}: {exc}"

@@ -35,32 +35,32 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.stores.copying.copy_status import copy_status
 
     with open_store(options) as ros_cas:
-        found = copy_status(ros_cas.catalog, stored_topics(ros_cas.catalog, options))
+        statuses = copy_status(ros_cas.catalog, stored_topics(ros_cas.catalog, options))
     if options.json:
-        print_json(found)
+        print_json(statuses)
     elif not options.quiet:
-        _print(found)
-    return 0 if found and not any(each.waiting or each.refused for each in found) else 1
+        _print(statuses)
+    return 0 if statuses and not any(status.waiting or status.refused for status in statuses) else 1
 
 
-def _print(found: list[TopicStatus]) -> None:
-    if not found:
+def _print(statuses: list[TopicStatus]) -> None:
+    if not statuses:
         print("nothing was copied to another store; see 'cassandra_bag copy --help'")
         return
     numbers = ("copied", "left out", "waiting", "size", "seconds")
     rows = [
         (
-            shown(each.target),
-            shown(each.topic),
-            str(each.copied),
-            str(each.left_out),
-            str(each.waiting),
-            format_bytes(each.waiting_bytes),
-            f"{each.waiting_sec:.1f}",
+            shown(status.target),
+            shown(status.topic),
+            str(status.copied),
+            str(status.left_out),
+            str(status.waiting),
+            format_bytes(status.waiting_bytes),
+            f"{status.waiting_sec:.1f}",
         )
-        for each in found
+        for status in statuses
     ]
     print(format_table(("to", "topic", *numbers), rows, right=numbers))
-    for each in found:
-        if each.refused:
-            print(f"refused: {shown(' '.join(each.refused.split()), None)}")
+    for status in statuses:
+        if status.refused:
+            print(f"refused: {shown(' '.join(status.refused.split()), None)}")

@@ -113,7 +113,7 @@ def _sum(counts: dict[str, int], whole: bool) -> str:
     count = sum(counts.values())
     if whole:
         return f"{counted(len(counts), 'topic')} with their {counted(count, 'message')}"
-    topics = sum(1 for each in counts.values() if each)
+    topics = sum(1 for messages in counts.values() if messages)
     return f"{counted(count, 'message')} of {counted(topics, 'topic')}"
 
 

@@ -133,16 +133,16 @@ def _lasting(ros_cas: RosCassandra, options: argparse.Namespace) -> Event:
         InvalidOption: The name has no event that lasts, or several.
     """
     name, whose = options.event, {"nodeID": options.node_id, "run": options.run}
-    found = list(islice(ros_cas.events(name, **whose), _MOST_ENDED))
-    if not found:  # the name is a key, then
+    events = list(islice(ros_cas.events(name, **whose), _MOST_ENDED))
+    if not events:  # the name is a key, then
         return ros_cas.catalog.keyspace.events.get(name)
-    lasting = [event for event in found if event.end_ns is None]
+    lasting = [event for event in events if event.end_ns is None]
     if len(lasting) == 1:
         return lasting[0]
     reason = f"{len(lasting)} events {name!r:.80} last"
     if not lasting:
-        reason = f"event {name!r:.80} has ended already, at {_time(found[-1].end_ns or 0)}"
-    named = (lasting or found)[-_MOST_SHOWN:]
+        reason = f"event {name!r:.80} has ended already, at {_time(events[-1].end_ns or 0)}"
+    named = (lasting or events)[-_MOST_SHOWN:]
     which = "of one of them" if len(named) > 1 else "again"
     keys = ", ".join(event.key for event in named)
     raise InvalidOption(f"{reason}; to set the end {which}, give its key: {keys}")

@@ -130,8 +130,8 @@ def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
     from cassandra_ros.files.bag.fleet_export import export_fleet
 
     if options.latched:
-        told = {"--start": options.start, "--event": options.event}
-        refuse(options, {f"{name} without --no-latched": value for name, value in told.items()})
+        values = {"--start": options.start, "--event": options.event}
+        refuse(options, {f"{name} without --no-latched": value for name, value in values.items()})
     where, (start, end), event = read_where(options), read_times(options), read_event(options)
     with open_fleet(options) as fleet, MessageBar(f"exporting {path}") as bar:
         present = fleet.topics()

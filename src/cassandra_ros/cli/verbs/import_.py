@@ -258,16 +258,18 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
 def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> None:
     """Print the outcome for each bag: as JSON, or as a table if there are several bags."""
     if options.json:
-        print_json({"keyspace": options.keyspace, "files": [_answer(each) for each in outcomes]})
+        print_json(
+            {"keyspace": options.keyspace, "files": [_answer(outcome) for outcome in outcomes]}
+        )
     elif len(outcomes) > 1 and not options.quiet:
         rows = [
             (
-                shown(each.path),
-                str(each.report.messages) if each.report else "-",
-                _lost(each.report) if each.report else "-",
-                each.state,
+                shown(outcome.path),
+                str(outcome.report.messages) if outcome.report else "-",
+                _lost(outcome.report) if outcome.report else "-",
+                outcome.state,
             )
-            for each in outcomes
+            for outcome in outcomes
         ]
         header = ("file", "messages", "lost", "state")
         print("\n" + format_table(header, rows, right=("messages", "lost")))

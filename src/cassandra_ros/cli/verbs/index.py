@@ -130,19 +130,19 @@ def _places(options: argparse.Namespace) -> int:
             with MessageBar("noting places", unit=" s") as bar:
                 runs = ros_cas.upkeep.indexPlaces(**whose, progress=bar.reach)
     if options.json:
-        print_json([each._asdict() for each in runs])
+        print_json([run_places._asdict() for run_places in runs])
     elif not runs:
         print("there is no run")
     elif not options.quiet:
         rows = [
             (
-                shown(each.run),
-                shown(each.node),
-                format_time(each.first_ns),
-                format_time(each.last_ns),
-                each.state,
+                shown(run_places.run),
+                shown(run_places.node),
+                format_time(run_places.first_ns),
+                format_time(run_places.last_ns),
+                run_places.state,
             )
-            for each in runs
+            for run_places in runs
         ]
         print(format_table(("run", "node", "poses from", "to", "places"), rows))
     return 0

@@ -179,10 +179,10 @@ def _find(options: argparse.Namespace) -> _Description:
 
     hosts, port = store_place(options)
     with open_store(options) as ros_cas:
-        asked = {"nodeID": options.node_id, "run": options.run}
+        selection = {"nodeID": options.node_id, "run": options.run}
         topics = stored_topics(ros_cas.catalog, options)
-        infos = ros_cas.info(topics, **asked)
-        losses = ros_cas.losses(topics, **asked)
+        infos = ros_cas.info(topics, **selection)
+        losses = ros_cas.losses(topics, **selection)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
         whose = ros_cas.catalog.whose(options.node_id, options.run)
         view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
@@ -193,8 +193,8 @@ def _find(options: argparse.Namespace) -> _Description:
             cells = _CELLS // len(activity.eras)
             views = [replace(view, start=s, end=e, cells=cells) for s, e in activity.eras]
             eras = list(map(timeline.picture, views))
-        told = (options.yaml or options.json) and options.key in (None, "topics")
-        samples = _samples(ros_cas.catalog, infos, options.run) if told else []
+        needs_samples = (options.yaml or options.json) and options.key in (None, "topics")
+        samples = _samples(ros_cas.catalog, infos, options.run) if needs_samples else []
     if whose.writers is not None:
         runs = [run for run in runs if run.writer in whose.writers]
     place = f"{','.join(hosts)}:{port}"
@@ -222,21 +222,21 @@ def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
     return min(firsts, default=None), max(lasts, default=None)
 
 
-def _print_summary(found: _Description) -> None:
+def _print_summary(description: _Description) -> None:
     from cassandra_ros.messages.stamps import iso_time
 
-    names, ends = {info.topic for info in found.infos}, found.ends
-    print(f"keyspace:  {found.keyspace} at {found.place}")
+    names, ends = {info.topic for info in description.infos}, description.ends
+    print(f"keyspace:  {description.keyspace} at {description.place}")
     if ends is not None:
-        parts = found.activity.eras
-        told = format_duration(sum(end - start for start, end in parts))
-        without = f"; without pauses of ten years or more {told}" if len(parts) > 1 else ""
+        parts = description.activity.eras
+        length = format_duration(sum(end - start for start, end in parts))
+        without = f"; without pauses of ten years or more {length}" if len(parts) > 1 else ""
         print(f"duration:  {format_duration(ends[1] - ends[0])}{without}")
         for name, ns in zip(("start", "end"), ends):
             print(f"{name + ':':<10} {iso_time(ns)} ({ns // SECOND_NS}.{ns % SECOND_NS:09d})")
-    print(f"size:      {format_bytes(found.bytes)}")
-    print(f"messages:  {found.messages} of {counted(len(names), 'topic')}")
-    types = [(shown(name), shown(md5sum)) for name, md5sum in found.types]
+    print(f"size:      {format_bytes(description.bytes)}")
+    print(f"messages:  {description.messages} of {counted(len(names), 'topic')}")
+    types = [(shown(name), shown(md5sum)) for name, md5sum in description.types]
     width = max((len(name) for name, _ in types), default=0)
     for number, (name, md5sum) in enumerate(types):
         print(f"{'' if number else 'types:':<10} {name:<{width}} [{md5sum}]")
@@ -261,13 +261,15 @@ def _print_activity(eras: list[Picture]) -> None:
     lines: dict[tuple[str, str], list[str]] = {}
     for number, (era, scale) in enumerate(zip(eras, scales)):
         for lane in era.lanes:
-            blank = [" " * each.cells for each in scales]
+            blank = [" " * era_scale.cells for era_scale in scales]
             texts = lines.setdefault((shown(lane.topic), shown(lane.node) or "-"), blank)
             texts[number] = sparkline(lane.cells(scale).counts.tolist(), sys.stdout.encoding)
     rows = [(*lane, _FOLD.join(texts)) for lane, texts in lines.items() if "".join(texts).strip()]
     if not rows:
         return
-    when = _FOLD.join(f"{format_time(each.start)} to {format_time(each.end)}" for each in scales)
+    when = _FOLD.join(
+        f"{format_time(era_scale.start)} to {format_time(era_scale.end)}" for era_scale in scales
+    )
     print()
     print(format_table(("activity of", "node", when), rows))
 
@@ -365,7 +367,7 @@ def _answer(description: _Description) -> dict[str, object]:
 
 def _topic_answer(info: TopicInfo, sample: MessageSample) -> dict[str, object]:
     values = asdict(info)
-    known = {
+    head = {
         "topic": values.pop("topic"),
         "type": values.pop("type"),
         "messages": values.pop("count"),
@@ -373,7 +375,7 @@ def _topic_answer(info: TopicInfo, sample: MessageSample) -> dict[str, object]:
         "connections": len(sample.connections),
         "frequency": sample.frequency,
     }
-    return {**known, **values}
+    return {**head, **values}
 
 
 def _chosen(answer: dict[str, object], key: str | None) -> object:

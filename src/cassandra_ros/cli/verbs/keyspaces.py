@@ -31,13 +31,13 @@ def run(options: argparse.Namespace) -> int:
         header = ("", "keyspace", "topics", "tables", "copies")
         rows = [
             (
-                "*" if each.name == options.keyspace else "",
-                each.name,
-                str(each.topics),
-                str(each.tables),
-                ", ".join(f"{where} {count}" for where, count in each.copies.items()),
+                "*" if keyspace.name == options.keyspace else "",
+                keyspace.name,
+                str(keyspace.topics),
+                str(keyspace.tables),
+                ", ".join(f"{where} {count}" for where, count in keyspace.copies.items()),
             )
-            for each in keyspaces
+            for keyspace in keyspaces
         ]
         print(format_table(header, rows, right=("topics", "tables")))
     else:

@@ -44,12 +44,12 @@ def run(options: argparse.Namespace) -> int:
             for _, topic in sorted(topics.items())
             for table in topic.tables
         ]
-        told = "" if rows or options.json else foreign_keyspace(ros_cas, "; ")
+        hint = "" if rows or options.json else foreign_keyspace(ros_cas, "; ")
     if options.json:
         print_json([dict(zip(_HEADER, row)) for row in rows])
     elif rows:
         print(format_table(_HEADER, [tuple(map(shown, row)) for row in rows]))
     else:
         whole = "; a pattern matches whole names, as /camera/.*" if patterns != [None] else ""
-        print(f"keyspace {options.keyspace} holds no such topic{whole}{told}")
+        print(f"keyspace {options.keyspace} holds no such topic{whole}{hint}")
     return 0

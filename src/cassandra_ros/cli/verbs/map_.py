@@ -273,8 +273,10 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
     ]
     others = [offer for offer in made.offers if not offer.taken]
     if others:
-        told = ", ".join(f"{shown(o.topic)} ({_percent(o.share)} of the messages)" for o in others)
-        lines.append(f"--odom takes another topic of poses: {told}")
+        topics = ", ".join(
+            f"{shown(o.topic)} ({_percent(o.share)} of the messages)" for o in others
+        )
+        lines.append(f"--odom takes another topic of poses: {topics}")
     without = counted(made.without_pose, "message")
     if made.without_pose:
         lines.append(f"left out: {without}, for no pose is known at their times")

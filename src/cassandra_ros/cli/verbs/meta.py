@@ -78,7 +78,7 @@ def _value(text: str) -> object:
         return text
 
 
-def _print_yaml(found: object) -> None:
+def _print_yaml(value: object) -> None:
     import yaml
 
-    print(yaml.safe_dump(found, sort_keys=False, allow_unicode=True), end="")
+    print(yaml.safe_dump(value, sort_keys=False, allow_unicode=True), end="")

@@ -60,12 +60,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _below(params: Mapping[str, object], namespace: str) -> object:
-    found: object = params
+    value: object = params
     for name in filter(None, namespace.split("/")):
-        if not isinstance(found, Mapping) or name not in found:
+        if not isinstance(value, Mapping) or name not in value:
             raise InvalidOption(f"the run has no parameter {namespace!r:.80}")
-        found = found[name]
-    return found
+        value = value[name]
+    return value
 
 
 def _load(context: RunContext, options: argparse.Namespace) -> None:
@@ -74,23 +74,23 @@ def _load(context: RunContext, options: argparse.Namespace) -> None:
     namespace = options.namespace
     prefix = "/" + "/".join(filter(None, namespace.split("/")))
     leaves = dict(_leaves(_below(context.params, namespace), prefix.rstrip("/")))
-    own = [name for name in leaves if _is_masters(name)]
-    empty = [name for name, value in leaves.items() if value is None and name not in own]
+    masters_own = [name for name in leaves if _is_masters(name)]
+    empty = [name for name, value in leaves.items() if value is None and name not in masters_own]
     count = set_parameters(
-        (name, value) for name, value in leaves.items() if name not in {*own, *empty}
+        (name, value) for name, value in leaves.items() if name not in {*masters_own, *empty}
     )
     if options.json:
-        print_json({"set": count, "masters_own": own, "without_value": empty})
+        print_json({"set": count, "masters_own": masters_own, "without_value": empty})
         return
     print(f"{count} parameters set")
-    if own:
-        print(f"left out, they are the running master's own: {shown(', '.join(own), None)}")
+    if masters_own:
+        print(f"left out, they are the running master's own: {shown(', '.join(masters_own), None)}")
     if empty:
         print(f"left out, they have no value: {shown(', '.join(empty), None)}")
 
 
 def _is_masters(name: str) -> bool:
-    return any(name == own or name.startswith(own + "/") for own in MASTERS_OWN)
+    return any(name == prefix or name.startswith(prefix + "/") for prefix in MASTERS_OWN)
 
 
 def _leaves(value: object, name: str) -> Iterator[tuple[str, object]]:
@@ -121,11 +121,11 @@ def _readable(value: object) -> object:
 
 
 def _graph(graph: NodeGraph) -> dict[str, object]:
-    def of(node: str, part: Graph) -> list[str]:
-        return sorted(name for name, nodes in part.items() if node in nodes)
+    def of(node: str, users: Graph) -> list[str]:
+        return sorted(name for name, nodes in users.items() if node in nodes)
 
-    def typed(node: str, part: Graph) -> dict[str, str]:
-        return {topic: graph.types.get(topic, "*") for topic in of(node, part)}
+    def typed(node: str, users: Graph) -> dict[str, str]:
+        return {topic: graph.types.get(topic, "*") for topic in of(node, users)}
 
     return {
         node: {
@@ -137,7 +137,7 @@ def _graph(graph: NodeGraph) -> dict[str, object]:
     }
 
 
-def _print_yaml(found: object) -> None:
+def _print_yaml(value: object) -> None:
     import yaml
 
-    print(yaml.safe_dump(found, allow_unicode=True, default_flow_style=False), end="")
+    print(yaml.safe_dump(value, allow_unicode=True, default_flow_style=False), end="")

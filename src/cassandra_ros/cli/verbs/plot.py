@@ -69,11 +69,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _size(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
-    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    match = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
+    size = (int(match[1]), int(match[2])) if match else (0, 0)
     if any(side not in _SIZES for side in size):
-        known = f"{_SIZES[0]} to {_SIZES[-1]} pixels a side"
-        raise argparse.ArgumentTypeError(f"{text!r} is no size: write it as 1200x600, {known}")
+        limits = f"{_SIZES[0]} to {_SIZES[-1]} pixels a side"
+        raise argparse.ArgumentTypeError(f"{text!r} is no size: write it as 1200x600, {limits}")
     return size
 
 
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     quoted(options, options.statements)
     ending = options.output.rpartition(".")[2].lower()
     if ending not in ENDINGS:
-        endings = ", ".join(f".{each}" for each in ENDINGS)
+        endings = ", ".join(f".{suffix}" for suffix in ENDINGS)
         raise InvalidOption(f"{options.output}: the picture's name ends in one of {endings}")
     with open_store(options) as ros_cas, open_output(
         options.output, options.force, binary=True
@@ -96,14 +96,17 @@ def run(options: argparse.Namespace) -> int:
         else:
             curves = curves_of(series, (options.xy[0], options.xy[1]))
             draw_xy(stream, ending, curves, options.size, options.title)
-    for each in series:
-        for name, reason in each.left_out:
+    for topic_series in series:
+        for name, reason in topic_series.left_out:
             print(
-                f"{shown(each.topic)}: {shown(name)} is not drawn: {shown(reason, None)}",
+                f"{shown(topic_series.topic)}: {shown(name)} is not drawn: {shown(reason, None)}",
                 file=sys.stderr,
             )
-        if not len(each.points.times):
-            print(f"{shown(each.topic)}: there is nothing to draw in this time", file=sys.stderr)
+        if not len(topic_series.points.times):
+            print(
+                f"{shown(topic_series.topic)}: there is nothing to draw in this time",
+                file=sys.stderr,
+            )
     return 0
 
 

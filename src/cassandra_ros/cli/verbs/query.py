@@ -103,8 +103,8 @@ def run(options: argparse.Namespace) -> int:
         return _answer_of_fleet(options, params)
     with open_store(options) as ros_cas:
         if options.explain:
-            asked = {"nodeID": options.node_id, "run": options.run}
-            explanation = ros_cas.explainCQL(options.statement, params, **asked)
+            selection = {"nodeID": options.node_id, "run": options.run}
+            explanation = ros_cas.explainCQL(options.statement, params, **selection)
             if options.output == "json":
                 print_json(explanation)
             else:
@@ -121,7 +121,9 @@ def quoted(options: argparse.Namespace, statements: Sequence[str], others: int =
         statements: The statements.
         others: Number of further words that are no options.
     """
-    if len(statements) + others > 1 and not all(len(each.split()) > 1 for each in statements):
+    if len(statements) + others > 1 and not all(
+        len(statement.split()) > 1 for statement in statements
+    ):
         options.parser.error("put the statement in quotes: without them the shell takes it apart")
 
 
@@ -160,9 +162,9 @@ def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> i
 
     given = {"--explain": options.explain, "--allow-writes": options.allow_writes}
     refuse(options, {**given, "--output parquet": options.output == "parquet"})
-    asked = {"nodeID": options.node_id, "run": options.run, "limit": options.limit}
+    selection = {"nodeID": options.node_id, "run": options.run, "limit": options.limit}
     with open_fleet(options) as fleet:
-        result = fleet.iterCQL(options.statement, params, **asked)
+        result = fleet.iterCQL(options.statement, params, **selection)
         kinds = [(name, ArrayType("mixed")) for name in result.columns]
         write(kinds, result, options.output, options.output_file, options.force)
     return tell_missing(result.missing)

@@ -147,7 +147,7 @@ def _print(options: argparse.Namespace, results: Sequence[Retained]) -> None:
         answer = [{"topic": e.topic, **{n: getattr(e, n) for n in _NUMBERS}} for e in results]
         print_json({"topics": answer, "dry_run": options.dry_run})
     elif not options.quiet:
-        if any(each.messages for each in results):
+        if any(result.messages for result in results):
             print(_table(results))
         gone = _gone(results)
         ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
@@ -181,11 +181,13 @@ def _keep_under(options: argparse.Namespace) -> int:
     return 0
 
 
-def _gone(found: Sequence[Retained]) -> int:
-    return sum(each.dropped + each.thinned for each in found)
+def _gone(results: Sequence[Retained]) -> int:
+    return sum(result.dropped + result.thinned for result in results)
 
 
-def _table(found: Sequence[Retained]) -> str:
-    filled = [each for each in found if each.messages]
-    rows = [(shown(each.topic), *(str(getattr(each, n)) for n in _NUMBERS)) for each in filled]
+def _table(results: Sequence[Retained]) -> str:
+    filled = [result for result in results if result.messages]
+    rows = [
+        (shown(result.topic), *(str(getattr(result, n)) for n in _NUMBERS)) for result in filled
+    ]
     return format_table(("topic", *_NUMBERS), rows, right=_NUMBERS)

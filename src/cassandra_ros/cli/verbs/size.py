@@ -172,8 +172,8 @@ def _measurement(ros_cas: RosCassandra, keyspace: str) -> Callable[[TopicSample]
     """Return what tells the measured bytes of a message and copy of a topic."""
     from cassandra_ros.store.tables.disk_usage import disk_usage
 
-    spaces = [each for each in ros_cas.getKeyspaces() if each.name == keyspace]
-    copies = sum(sum(each.copies.values()) for each in spaces)
+    spaces = [space for space in ros_cas.getKeyspaces() if space.name == keyspace]
+    copies = sum(sum(space.copies.values()) for space in spaces)
     try:
         used = disk_usage(ros_cas.cassandra, keyspace)
     except AccessDenied:

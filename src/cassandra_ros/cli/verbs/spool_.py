@@ -87,16 +87,16 @@ def _chosen(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
         if name not in there:
             names = ", ".join(sorted(there)) or "none"
             raise SpoolError(f"the spool {folder.path} has no run {name}; it has {names}")
-    found = set()
-    for left in folder.left():
+    unlocked_names = set()
+    for run_folder in folder.left():
         try:
-            if not ids or left.path.name in ids:
-                found.add(left.path.name)
-                yield read_left(left)
+            if not ids or run_folder.path.name in ids:
+                unlocked_names.add(run_folder.path.name)
+                yield read_left(run_folder)
         finally:
-            left.release()
+            run_folder.release()
     for name in ids:
-        if name not in found:
+        if name not in unlocked_names:
             raise SpoolError(f"run {name} is being recorded: end its recorder first")
 
 
@@ -111,8 +111,8 @@ def _listed(path: Path, state: str) -> _ListedRun:
         try:
             reader = SegmentReader(file)
             label = label or reader.label()
-            for each in reader.totals().values():
-                total.add(each.count, each.first_ns, each.last_ns)
+            for topic_total in reader.totals().values():
+                total.add(topic_total.count, topic_total.first_ns, topic_total.last_ns)
         except CassandraRosError as exc:
             state = str(exc)
     first = total.first_ns if total.count else 0
@@ -127,34 +127,34 @@ def _listed(path: Path, state: str) -> _ListedRun:
 def _left_names(folder: SpoolFolder) -> list[str]:
     """Return the ids of the runs without a process."""
     names = []
-    for each in folder.left():
-        names.append(each.path.name)
-        each.release()
+    for run_folder in folder.left():
+        names.append(run_folder.path.name)
+        run_folder.release()
     return names
 
 
 def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
-    left = _left_names(folder)
+    left_ids = _left_names(folder)
     paths = [p for p in folder.runs() if not options.runs or p.name in options.runs]
-    runs = [_listed(p, "left" if p.name in left else "recording") for p in paths]
+    runs = [_listed(p, "left" if p.name in left_ids else "recording") for p in paths]
     if options.json:
-        print_json([each._asdict() for each in runs])
+        print_json([listed_run._asdict() for listed_run in runs])
     elif not options.quiet:
         names = ("id", "run", "robot", "keyspace", "store", "messages", "size", "start", "end")
         rows = [
             (
-                each.id,
-                shown(each.run) or "-",
-                shown(each.robot) or "-",
-                shown(each.keyspace) or "-",
-                shown(each.address) or "-",
-                str(each.messages),
-                format_bytes(each.nbytes),
-                format_time(each.first_ns) if each.messages else "-",
-                format_time(each.last_ns) if each.messages else "-",
-                shown(each.state, None),
+                listed_run.id,
+                shown(listed_run.run) or "-",
+                shown(listed_run.robot) or "-",
+                shown(listed_run.keyspace) or "-",
+                shown(listed_run.address) or "-",
+                str(listed_run.messages),
+                format_bytes(listed_run.nbytes),
+                format_time(listed_run.first_ns) if listed_run.messages else "-",
+                format_time(listed_run.last_ns) if listed_run.messages else "-",
+                shown(listed_run.state, None),
             )
-            for each in runs
+            for listed_run in runs
         ]
         print(format_table((*names, "state"), rows) if rows else "the spool is empty")
     return 0
@@ -168,20 +168,20 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
     mine = options.keyspace, f"{','.join(hosts)}:{port}"
     answer, failed = [], False
     with open_store(options, make=True) as ros_cas:
-        for left in _chosen(folder, options.runs):
-            label = left.label
+        for left_run in _chosen(folder, options.runs):
+            label = left_run.label
             if label is None or not (options.runs or (label.keyspace, label.address) == mine):
                 where = (
                     "" if label is None else f"it belongs to {label.keyspace} at {label.address}"
                 )
-                text = f"run {left.name} ({left.folder.path.name}) stays: {left.problem or where}"
-                print(text, file=sys.stderr)
+                name, reason = left_run.folder.path.name, left_run.problem or where
+                print(f"run {left_run.name} ({name}) stays: {reason}", file=sys.stderr)
                 failed = failed or label is None
                 continue
-            with MessageBar(f"storing {left.name}") as bar:
-                done = Drain(ros_cas.catalog, left).run(bar.add)
-            told = {"messages": done.messages, "lost": dict(done.lost), "complete": done.complete}
-            answer.append({"run": left.name, **told})
+            with MessageBar(f"storing {left_run.name}") as bar:
+                done = Drain(ros_cas.catalog, left_run).run(bar.add)
+            result = {"messages": done.messages, "lost": dict(done.lost), "complete": done.complete}
+            answer.append({"run": left_run.name, **result})
             failed = failed or bool(done.lost) or not done.complete
             if not (options.quiet or options.json):
                 print("\n".join(map(shown, lines_of(done))))
@@ -196,14 +196,14 @@ def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
     chosen = options.runs or _left_names(folder)
     if not options.yes:
         listed = [_listed(folder.path / name, "left") for name in chosen]
-        messages = sum(each.messages for each in listed)
+        messages = sum(listed_run.messages for listed_run in listed)
         confirm(f"Delete {counted(messages, 'message')} of the spool?", "\n".join(chosen))
     dropped = []
-    for left in _chosen(folder, chosen) if chosen else ():
-        left.folder.remove()
-        dropped.append(left.folder.path.name)
+    for left_run in _chosen(folder, chosen) if chosen else ():
+        left_run.folder.remove()
+        dropped.append(left_run.folder.path.name)
         if not (options.quiet or options.json):
-            print(f"run {shown(left.name)} is deleted from the spool")
+            print(f"run {shown(left_run.name)} is deleted from the spool")
     if options.json:
         print_json(dropped)
     elif not (dropped or options.quiet):
@@ -226,10 +226,10 @@ def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
     messages, damaged = 0, []
     with make_file(target) as writer:
         numbers: dict[Connection, int] = {}
-        for left in _chosen(folder, ids):
-            for part in read_run(left.folder):
-                damaged += [part.damage] * bool(part.damage)
-                for connection, t_ns, _, wire in part.messages:
+        for left_run in _chosen(folder, ids):
+            for segment_part in read_run(left_run.folder):
+                damaged += [segment_part.damage] * bool(segment_part.damage)
+                for connection, t_ns, _, wire in segment_part.messages:
                     if connection not in numbers:
                         numbers[connection] = writer.connection(connection)
                     writer.write(numbers[connection], t_ns, wire)

@@ -62,8 +62,8 @@ def run(options: argparse.Namespace) -> int:
     check_outputs(options)
     params = [read_parameter(text) for text in options.params]
     with open_store(options) as ros_cas:
-        asked = {"nodeID": options.node_id, "run": options.run}
-        result = ros_cas.sql(options.statement, params, **asked)
+        selection = {"nodeID": options.node_id, "run": options.run}
+        result = ros_cas.sql(options.statement, params, **selection)
         if options.explain:
             print(shown_lines(str(result.explain())))
             return 0
@@ -79,10 +79,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _limited(result: SqlResult, limit: int | None) -> Iterator[pyarrow.RecordBatch]:
     """Yield the batches of a result, with at most so many rows; at least one batch."""
-    left = limit
+    remaining = limit
     for batch in result.batches():
-        yield batch if left is None else batch.slice(0, left)
-        if left is not None:
-            left -= batch.num_rows
-            if left <= 0:
+        yield batch if remaining is None else batch.slice(0, remaining)
+        if remaining is not None:
+            remaining -= batch.num_rows
+            if remaining <= 0:
                 return

@@ -99,13 +99,14 @@ def run(options: argparse.Namespace) -> int:
     first, last = _clock(drawn[0].t), _clock(drawn[-1].t)
     title = f"{topic.name}   {kind}   {first} to {last} UTC"
     one_day = first[:10] == last[:10]
-    cells = [each.cell._replace(caption=_caption(each, one_day)) for each in drawn]
+    cells = [thumbnail.cell._replace(caption=_caption(thumbnail, one_day)) for thumbnail in drawn]
     sheet = draw_sheet(cells, options.columns, options.width, title)
     size = save_picture(sheet, path)
-    damaged = sum(each.problem is not None for each in drawn)
+    damaged = sum(thumbnail.problem is not None for thumbnail in drawn)
     if options.json:
         pictures = [
-            {"time_ns": each.t, "node": each.node, "drawn": each.problem is None} for each in drawn
+            {"time_ns": thumbnail.t, "node": thumbnail.node, "drawn": thumbnail.problem is None}
+            for thumbnail in drawn
         ]
         answer = {"path": path, "topic": topic.name, "width": sheet.width, "height": sheet.height}
         print_json({**answer, "size": size, "pictures": pictures})
@@ -168,7 +169,7 @@ def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> Messag
 
 def _tell_problems(drawn: list[_Thumbnail]) -> None:
     """Print why messages could not be drawn; raise the error if no message could."""
-    problems = [each.problem for each in drawn if each.problem is not None]
+    problems = [thumbnail.problem for thumbnail in drawn if thumbnail.problem is not None]
     if len(problems) == len(drawn):
         raise problems[0]
     for problem in problems:

@@ -177,13 +177,13 @@ def _compare_stores(options: argparse.Namespace) -> int:
         return 0 if result.equal else 1
     for topic, reason in sorted(result.refused.items()):
         print(f"refused: {shown(topic)}: {shown(' '.join(reason.split()), None)}")
-    for each in result.differences:
-        whose = f" of {shown(each.node)}" if each.node else ""
+    for difference in result.differences:
+        whose = f" of {shown(difference.node)}" if difference.node else ""
         when = "under names"
-        if each.last_ns <= MAX_NS:
-            when = f"{format_time(each.first_ns)} to {format_time(each.last_ns)}"
-        numbers = f"{each.here.messages} messages here, {each.there.messages} there"
-        print(f"different: {shown(each.topic)}{whose} {when}: {numbers}")
+        if difference.last_ns <= MAX_NS:
+            when = f"{format_time(difference.first_ns)} to {format_time(difference.last_ns)}"
+        numbers = f"{difference.here.messages} messages here, {difference.there.messages} there"
+        print(f"different: {shown(difference.topic)}{whose} {when}: {numbers}")
     if result.equal and not options.quiet:
         what = f"{counted(result.messages, 'message')} in {counted(result.buckets, 'bucket')}"
         print(f"equal: keyspace {options.keyspace} and {shown(result.place)}, {what}")
