@@ -41,7 +41,7 @@ MAX_TTL_SEC = 18 * 365 * 86400
 Cassandra's maximum of 20 years."""
 
 
-def _shown(value: Any) -> str:
+def _shorten(value: Any) -> str:
     try:
         return f"{value!r:.80}"
     except ValueError:  # an integer of thousands of digits
@@ -88,7 +88,7 @@ def check_text(
             reason = f"it has more than {most} bytes"
     except UnicodeEncodeError:
         reason = "it is no valid Unicode"
-    raise error(f"{name}={_shown(value)} cannot be used: {reason}; give {wanted}")
+    raise error(f"{name}={_shorten(value)} cannot be used: {reason}; give {wanted}")
 
 
 def check_integer(
@@ -108,7 +108,7 @@ def check_integer(
         number = None
     if number is None or number != value or not least <= number <= most:
         raise error(
-            f"{name}={_shown(value)} cannot be used: give a whole number of {least} to {most}"
+            f"{name}={_shorten(value)} cannot be used: give a whole number of {least} to {most}"
         )
     return number
 
@@ -118,7 +118,7 @@ def check_seconds(name: str, value: Any) -> float:
     number = plain_value(value)
     if isinstance(number, (int, float)) and not isinstance(number, bool) and number >= 0:
         return float(number)
-    raise InvalidOption(f"{name}={_shown(value)} is no number of seconds: give 0.0 or more")
+    raise InvalidOption(f"{name}={_shorten(value)} is no number of seconds: give 0.0 or more")
 
 
 def check_node(node: Any) -> str:
@@ -158,7 +158,7 @@ def check_labels(labels: Any) -> dict[str, str]:
     """Return the labels of a new run (name -> text), or raise InvalidName."""
     if not isinstance(labels, Mapping):
         raise InvalidName(
-            f"labels={_shown(labels)} are no mapping: give one like {{'site': 'lab'}}"
+            f"labels={_shorten(labels)} are no mapping: give one like {{'site': 'lab'}}"
         )
     wanted = f"labels that are texts of up to {MAX_NAME_BYTES} bytes, as {{'site': 'lab'}}"
     return {
@@ -173,7 +173,7 @@ def check_topic(topic: Any) -> str:
     """Return the name of a topic to look up, or raise InvalidName."""
     if isinstance(topic, str):
         return topic
-    raise InvalidName(f"{_shown(topic)} is no name of a topic: give a text like '/scan'")
+    raise InvalidName(f"{_shorten(topic)} is no name of a topic: give a text like '/scan'")
 
 
 def spellings(topic: str) -> tuple[str, str]:
@@ -233,7 +233,7 @@ def check_list(name: str, values: Any, example: str) -> list[Any]:
         return [values]
     if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray)):
         return list(values)
-    raise InvalidName(f"{name}={_shown(values)} is no list of names: give one like {example}")
+    raise InvalidName(f"{name}={_shorten(values)} is no list of names: give one like {example}")
 
 
 def check_pairs(
@@ -256,7 +256,7 @@ def check_limit(limit: Any) -> int | None:
     if whole and 0 <= int(limit) <= MAX_LIMIT:
         return int(limit)
     raise InvalidOption(
-        f"limit={_shown(limit)} is no number of messages: give 0 to {MAX_LIMIT}, or None for all"
+        f"limit={_shorten(limit)} is no number of messages: give 0 to {MAX_LIMIT}, or None for all"
     )
 
 
@@ -270,7 +270,7 @@ def check_key_format(key_format: Any, key_part: Any) -> str:
     check_text("key_part", key_part, error=InvalidKey, wanted="a field like 'header.stamp'")
     if key_format not in (None, "", *KEY_FORMATS):
         raise InvalidKey(
-            f"there is no key_format {_shown(key_format)}; there are: {', '.join(KEY_FORMATS)}"
+            f"there is no key_format {_shorten(key_format)}; there are: {', '.join(KEY_FORMATS)}"
         )
     if (key_format == "msg_part") != bool(key_part):
         raise InvalidKey(
@@ -341,7 +341,7 @@ def check_user_keys(keys: Any) -> dict[str, Any]:
 def _json_keys(what: str, keys: Any, taken: Container[str]) -> dict[str, Any]:
     """Return a mapping that JSON can store without change, none of whose keys is taken."""
     if not isinstance(keys, Mapping):
-        raise InvalidName(f"{what}={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
+        raise InvalidName(f"{what}={_shorten(keys)} is no mapping: give one like {{'site': 'lab'}}")
     checked: dict[str, Any] = {}
     for name, given in keys.items():
         value = plain_value(given)
@@ -356,7 +356,7 @@ def _json_keys(what: str, keys: Any, taken: Container[str]) -> dict[str, Any]:
             reason = str(exc)
         if reason:
             raise InvalidName(
-                f"{what} {name!r:.80}={_shown(value)} cannot be kept as JSON: {reason}; give "
+                f"{what} {name!r:.80}={_shorten(value)} cannot be kept as JSON: {reason}; give "
                 "texts, finite numbers, true, false, None, lists, and dicts whose keys are texts"
             )
     return checked

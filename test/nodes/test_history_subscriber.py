@@ -21,7 +21,7 @@ from suites import CAMPAIGN
 
 from cassandra_ros import CassandraRosError, HistorySubscriber
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.nodes.history_subscriber import _beginning
+from cassandra_ros.nodes.history_subscriber import _start_time_of
 
 LISTENER = Path(__file__).with_name("history_listener.py")
 
@@ -246,11 +246,11 @@ def test_bad_arguments_are_refused_at_once(wanted, error):
 
 def test_since():
     now = 1_700_000_000 * 10**9
-    assert _beginning(None)(now) == 0
-    assert _beginning(60)(now) == now - 60 * 10**9
-    assert _beginning(0.5)(now) == now - 5 * 10**8
-    assert _beginning(genpy.Duration(2))(now) == now - 2 * 10**9
-    assert _beginning(genpy.Time(5))(now) == 5 * 10**9
-    assert _beginning(now - 1)(now) == now - 1
-    assert _beginning(1.5e9)(now) == 1_500_000_000 * 10**9
-    assert _beginning("2020-01-01T00:00:00Z")(now) == 1_577_836_800 * 10**9
+    assert _start_time_of(None)(now) == 0
+    assert _start_time_of(60)(now) == now - 60 * 10**9
+    assert _start_time_of(0.5)(now) == now - 5 * 10**8
+    assert _start_time_of(genpy.Duration(2))(now) == now - 2 * 10**9
+    assert _start_time_of(genpy.Time(5))(now) == 5 * 10**9
+    assert _start_time_of(now - 1)(now) == now - 1
+    assert _start_time_of(1.5e9)(now) == 1_500_000_000 * 10**9
+    assert _start_time_of("2020-01-01T00:00:00Z")(now) == 1_577_836_800 * 10**9

@@ -332,7 +332,7 @@ def _connect(options: argparse.Namespace, wait: StoreWait) -> RosCassandra:
                 consistency=options.consistency,
             )
         except ConnectionFailed as exc:
-            failure = _explained(exc, options)
+            failure = _explain(exc, options)
             # A server that refuses once refuses again; without a limit the user may correct it.
             over = time.monotonic() >= ends or wait.given_up.is_set()
             if over or (exc.refused and not unlimited):
@@ -344,7 +344,7 @@ def _connect(options: argparse.Namespace, wait: StoreWait) -> RosCassandra:
             wait.given_up.wait(min(pause, max(ends - time.monotonic(), 0.0)))
 
 
-def _explained(exc: ConnectionFailed, options: argparse.Namespace) -> ConnectionFailed:
+def _explain(exc: ConnectionFailed, options: argparse.Namespace) -> ConnectionFailed:
     """Return the error with what the local Cassandra knows of the reason."""
     directories = _local_directories(options)
     if isinstance(exc, TlsMismatch):

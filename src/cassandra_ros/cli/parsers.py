@@ -32,7 +32,7 @@ def error_line(program: str, text: object) -> str:
     return f"{program}: {shown_lines(str(text))}"
 
 
-def _closing(program: str, more: str) -> str:
+def _epilog(program: str, more: str) -> str:
     # The parser of a verb is named 'PROGRAM VERB', but error lines begin with PROGRAM only.
     return "\n".join(filter(None, (_STATUSES.replace("%(prog)s", program), more, _ENDED)))
 
@@ -200,7 +200,7 @@ def program_parser(program: str, text: str | None, more: str = "") -> Parser:
         text: The docstring; its lines are kept.
         more: Lines about further exit statuses.
     """
-    description, closing = inspect.cleandoc(text or ""), _closing(program, more)
+    description, closing = inspect.cleandoc(text or ""), _epilog(program, more)
     parser = Parser(prog=program, description=description, epilog=closing, formatter_class=_RAW)
     parser.add_argument(
         "--version", action=_Version, nargs=0, help="show the version and the schema, and exit"
@@ -224,7 +224,7 @@ def verbs_parser(
             name,
             help=doc.splitlines()[0],
             description=doc,
-            epilog=_closing(program, more),
+            epilog=_epilog(program, more),
             formatter_class=_RAW,
         )
         verb_parser.set_defaults(parser=verb_parser)

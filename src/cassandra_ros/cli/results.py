@@ -180,7 +180,7 @@ def write_parquet(columns: ColumnTypes, rows: Rows, stream: IO[bytes]) -> None:
     arrow, parquet = load_parquet()
     groups = _groups(rows)
     first = next(groups, [])
-    kinds = [_narrowed(kind, [row[n] for row in first]) for n, (_, kind) in enumerate(columns)]
+    kinds = [_narrow_type(kind, [row[n] for row in first]) for n, (_, kind) in enumerate(columns)]
     schema = arrow.schema(
         [(name, _arrow_type(arrow, kind)) for (name, _), kind in zip(columns, kinds)]
     )
@@ -224,7 +224,7 @@ def _groups(rows: Rows) -> Iterator[list[tuple[object, ...]]]:
         yield group
 
 
-def _narrowed(kind: ArrayType, values: Sequence[object]) -> ArrayType:
+def _narrow_type(kind: ArrayType, values: Sequence[object]) -> ArrayType:
     """Return the type int64 for a column of integer sums if all values fit, else the same type."""
     sums = [value for value in values if isinstance(value, int)]
     fits = all(abs(value) <= _MAX_INT64 for value in sums)

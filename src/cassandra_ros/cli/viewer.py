@@ -214,7 +214,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     settings = read_settings(options)
     _require_pages(settings.web)
     offer(PROGRAM, settings.studio)
-    with _opened(options) as source:
+    with _open_stores(options) as source:
 
         def ready(address: str) -> None:
             shown = f"keyspace {options.keyspace} is"
@@ -228,7 +228,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _opened(options: argparse.Namespace) -> RosCassandra | Fleet:
+def _open_stores(options: argparse.Namespace) -> RosCassandra | Fleet:
     """Connect to the store, or to several stores, and warn if there is nothing to show."""
     if options.stores:
         refuse(options, {"--allow-writes": options.allow_writes})

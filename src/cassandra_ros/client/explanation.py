@@ -137,15 +137,15 @@ def _alone(condition: Expression | None, pushed: set[Leaf]) -> Iterator[str]:
         terms = chain.from_iterable(map(terms_of, leaves(condition_part)))
         fields = any(isinstance(p, FieldPath) for term in terms for p in inside(term))
         if fields and not pushed.intersection(leaves(condition_part)):
-            yield _shown(condition_part)
+            yield _condition_text(condition_part)
 
 
-def _shown(condition: Expression) -> str:
+def _condition_text(condition: Expression) -> str:
     if isinstance(condition, (All, Either)):
         word = " AND " if isinstance(condition, All) else " OR "
-        return f"({word.join(_shown(item) for item in condition.items)})"
+        return f"({word.join(_condition_text(item) for item in condition.items)})"
     if isinstance(condition, Negation):
-        return f"NOT {_shown(condition.item)}"
+        return f"NOT {_condition_text(condition.item)}"
     return _leaf(condition)
 
 

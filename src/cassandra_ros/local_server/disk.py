@@ -45,7 +45,10 @@ def local_directory(host: str, port: int) -> Path | None:
         return None
     if _is_at(default_directory(), address, port):
         return default_directory()
-    return next((directory for directory in _running() if _is_at(directory, address, port)), None)
+    return next(
+        (directory for directory in _running_directories() if _is_at(directory, address, port)),
+        None,
+    )
 
 
 def local_nodes(directory: Path) -> int:
@@ -106,7 +109,7 @@ def _is_at(directory: Path, address: str, port: int) -> bool:
     return bool(settings and settings.port == port and address in map(settings.address, numbers))
 
 
-def _running() -> list[Path]:
+def _running_directories() -> list[Path]:
     words = ((pid, word) for pid in psutil.pids() for word in command_line(pid))
     nodes = [(pid, Path(w[len(_STORAGE) :])) for pid, w in words if w.startswith(_STORAGE)]
     return [node.parent for pid, node in nodes if _is_here(pid, node)]

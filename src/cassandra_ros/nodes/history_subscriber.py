@@ -98,8 +98,8 @@ class HistorySubscriber:
     ) -> None:
         _check(data_class, callback)
         bound = check_integer("buff_size", buff_size, 1, 2**63 - 1)
-        begin, node = _beginning(since), None if nodeID is None else check_node(nodeID)
-        self.name = self.resolved_name = _resolved(topic)
+        begin, node = _start_time_of(since), None if nodeID is None else check_node(nodeID)
+        self.name = self.resolved_name = _resolve_topic(topic)
         self.data_class: Any = data_class
         self._callback, self._args = callback, callback_args
         self._own = rosCas is None
@@ -116,7 +116,7 @@ class HistorySubscriber:
             self._close_own()
             raise
         self._queue = LiveQueue(bound, now_ns)
-        self._history = History(past, self._queue, begin, self._connected)
+        self._history = History(past, self._queue, begin, self._await_publishers)
         self._subscriber = subscribe(self.resolved_name, self._take, tcp_nodelay)
         name = f"history of {self.resolved_name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -152,7 +152,7 @@ class HistorySubscriber:
     def _take(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         self._queue.put(header, wire)
 
-    def _connected(self) -> bool:
+    def _await_publishers(self) -> bool:
         """Return whether all publishers of the topic are connected, or CONNECT_SEC is over."""
         if not self._is_connected:
             publishers = _publishers(self.resolved_name)
@@ -230,11 +230,11 @@ def _check(data_class: Any, callback: Any) -> None:
         raise InvalidOption(f"callback={callback!r:.80} cannot be called")
 
 
-def _resolved(topic: str) -> str:
+def _resolve_topic(topic: str) -> str:
     return str(rospy.resolve_name(check_ros_name(check_topic(topic))))
 
 
-def _beginning(since: Any) -> Callable[[int], int]:
+def _start_time_of(since: Any) -> Callable[[int], int]:
     """Return a function from the present time to the first time of stored messages, both ns."""
     if since is None:
         return lambda now: 0

@@ -86,13 +86,13 @@ class Player:
     ) -> None:
         self.options = options = options or PlayerOptions()
         """Options of the replay."""
-        self._stream = PlayStream(_played(rosCas), selection or PlaySelection())
+        self._stream = PlayStream(_played_store(rosCas), selection or PlaySelection())
         self._outlets: Outlets | None = None
         self._registration = Registration()
         self._control: rospy.Subscriber | None = None
         self._control_ns = self._stream.start_ns
         self._controls = True
-        self._playback = Playback(self._stream, self, options, self._lags, self._skipped)
+        self._playback = Playback(self._stream, self, options, self._lags, self._note_skip)
         self._stopping = threading.Event()
         self._abandoned = threading.Event()
         self._done = threading.Event()
@@ -296,7 +296,7 @@ class Player:
         if self._outlets is not None:
             self._outlets.publish(played)
 
-    def _skipped(self, played: PlayedMessage, error: CassandraRosError) -> None:
+    def _note_skip(self, played: PlayedMessage, error: CassandraRosError) -> None:
         if self._outlets is not None:
             self._outlets.skipped(played, error)
 
@@ -321,5 +321,5 @@ class Player:
         self._playback.wake()
 
 
-def _played(store: RosCassandra | Fleet) -> PlayedStore:
+def _played_store(store: RosCassandra | Fleet) -> PlayedStore:
     return PlayedFleet(store) if isinstance(store, Fleet) else PlayedKeyspace(store.catalog)

@@ -74,7 +74,7 @@ class _Link:
         self._rest: memoryview | None = None  # unsent end of a message
         self._busy = False
         self._changed = threading.Condition()
-        transport.set_cleanup_callback(self._closed)
+        transport.set_cleanup_callback(self._on_close)
         threading.Thread(target=self._run, daemon=True, name="publisher").start()
 
     def __getattr__(self, name: str) -> object:
@@ -82,7 +82,7 @@ class _Link:
             raise AttributeError(name)
         return getattr(self.transport, name)
 
-    def _closed(self, transport: Transport) -> None:
+    def _on_close(self, transport: Transport) -> None:
         with self._changed:
             self._changed.notify_all()
 
@@ -132,7 +132,7 @@ class _Link:
                 self._queue.append(wire)
                 self._changed.notify_all()
         except OSError:
-            self.transport.close()  # not under our lock: it calls _closed
+            self.transport.close()  # not under our lock: it calls _on_close
 
     def _send_now(self, wire: bytes) -> None:
         buffers = (_length(len(wire)), wire)

@@ -96,7 +96,7 @@ class Recorder:
         self._store = _catalog_of(rosCas)
         self._left_runs: LeftRuns | None = None
         self._quota: QuotaKeeper | None = None
-        self._series = series = RunSeries(self._store, options, now_ns, self._begun)
+        self._series = series = RunSeries(self._store, options, now_ns, self._announce_run)
         bound = options.snapshot
         self._marks = EventMarks(series.events.put)
         self._snapshots = (
@@ -104,7 +104,7 @@ class Recorder:
             if bound is None
             else Snapshots(bound, options.buffsize, now_ns, series.filters, series.single)
         )
-        self._subscriptions = Subscriptions(self._received, options.tcpnodelay, self._broken)
+        self._subscriptions = Subscriptions(self._on_message, options.tcpnodelay, self._broken)
         self._registration = Registration(self._unheard)
         self._own = _OwnMessages(rospy.get_name()) if options.discovers else None
         self._left: set[str] = set()
@@ -185,7 +185,7 @@ class Recorder:
         Raises:
             InvalidName: A topic is not recorded.
         """
-        names = self._recorded(topics)
+        names = self._recorded_topics(topics)
         with self._mutex:
             if topics:
                 self._leave(names)
@@ -234,7 +234,7 @@ class Recorder:
         Raises:
             InvalidName: A topic is not recorded.
         """
-        self._paused.update(self._recorded(topics))
+        self._paused.update(self._recorded_topics(topics))
         self._all_paused = self._all_paused or not topics
 
     def resume(self, topics: Topics = ()) -> None:
@@ -243,7 +243,7 @@ class Recorder:
         Raises:
             InvalidName: A topic is not recorded.
         """
-        names = self._recorded(topics)
+        names = self._recorded_topics(topics)
         if self._all_paused:
             # In this order: the other topics stay paused all the time.
             self._paused = set(self._subscriptions.topics)
@@ -328,7 +328,7 @@ class Recorder:
             )
         if not 0.0 <= after <= 86400.0:
             raise InvalidOption(f"after={after!r:.40} is no number of seconds of 0 to 86400")
-        names = self._recorded(topics)
+        names = self._recorded_topics(topics)
         recording, messages = self._snapshots.write(name, labels or {}, after, names)
         self._say(f"snapshot {recording.name}: {messages} messages")
         return recording.name, messages
@@ -389,7 +389,7 @@ class Recorder:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _recorded(self, topics: Topics) -> list[str]:
+    def _recorded_topics(self, topics: Topics) -> list[str]:
         """Return the names of topics that are recorded, or raise InvalidName."""
         names, subscribed = [], self._subscriptions.topics
         for topic in topics:
@@ -437,7 +437,7 @@ class Recorder:
     def _gives_up(self) -> bool:
         return self._interrupts > 1
 
-    def _received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+    def _on_message(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         if self._own is not None and self._own.said(topic, header, wire):
             return
         paused = self._all_paused or topic in self._paused
@@ -456,7 +456,7 @@ class Recorder:
             last = current.now()
             current.unheard(topic, max(0, last - int(seconds * SECOND_NS)), last)
 
-    def _begun(self, recording: Recording) -> None:
+    def _announce_run(self, recording: Recording) -> None:
         """Announce a run that has started, and store its context."""
         running = [thread for thread in self._contexts if thread.is_alive()]
         self._contexts = [*running, keep_context(recording)]

@@ -90,7 +90,7 @@ class _Services:
         def work() -> None:
             status = self.recorder.status()
             response.state, response.run, response.writer = status.state, status.run, status.writer
-            response.topics = [_packed(report, status) for report in status.topics]
+            response.topics = [_pack(report, status) for report in status.topics]
             response.held_bytes, response.bound_bytes = status.held_bytes, status.bound_bytes
             disk = status.on_disk
             response.spooled_messages, response.spooled_bytes = disk.messages, disk.nbytes
@@ -154,7 +154,7 @@ def _attempt(work: Callable[[], None]) -> str:
     return ""
 
 
-def _packed(report: TopicReport, status: RecordingStatus) -> RecordedTopic:
+def _pack(report: TopicReport, status: RecordingStatus) -> RecordedTopic:
     return RecordedTopic(
         topic=report.topic,
         types=list(report.types),

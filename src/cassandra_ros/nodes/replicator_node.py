@@ -133,14 +133,14 @@ class _Handlers:
             state=status.state,
             target=status.place,
             reason=status.reason,
-            topics=list(map(_packed, status.topics)),
+            topics=list(map(_pack, status.topics)),
             bytes_per_second=status.bytes_per_sec,
             seconds_left=-1.0 if seconds_left is None else seconds_left,
             unused_patterns=list(status.unused),
         )
 
 
-def _packed(topic: TopicStatus) -> CopiedTopic:
+def _pack(topic: TopicStatus) -> CopiedTopic:
     return CopiedTopic(
         topic=topic.topic,
         copied=topic.copied,

@@ -124,11 +124,11 @@ class PublishedNames:
 
     def __init__(self, prefix: str = "", remap: Mapping[str, str] | None = None) -> None:
         self._prefix = prefix.rstrip("/")
-        self._remap = {_rooted(old): _rooted(new) for old, new in (remap or {}).items()}
+        self._remap = {_with_slash(old): _with_slash(new) for old, new in (remap or {}).items()}
         for name in self._remap.values():
             check_ros_name(name, "a remapped topic")
         if prefix:
-            check_ros_name(_rooted(self._prefix), "the prefix")
+            check_ros_name(_with_slash(self._prefix), "the prefix")
         self._known: dict[tuple[str, str], str] = {}
 
     def of(self, topic: str, source: str = "") -> str:
@@ -136,12 +136,12 @@ class PublishedNames:
         key = (topic, source)
         name = self._known.get(key)
         if name is None:
-            name = self._known[key] = self._named(_rooted(topic), source)
+            name = self._known[key] = self._published_name(_with_slash(topic), source)
         return name
 
-    def _named(self, topic: str, source: str) -> str:
+    def _published_name(self, topic: str, source: str) -> str:
         robot = f"/{source}" if source else ""
-        full = _rooted(self._prefix + robot + topic)
+        full = _with_slash(self._prefix + robot + topic)
         if full in self._remap:
             return self._remap[full]
         if topic in self._remap:
@@ -149,5 +149,5 @@ class PublishedNames:
         return full
 
 
-def _rooted(name: str) -> str:
+def _with_slash(name: str) -> str:
     return name if name.startswith("/") else "/" + name

@@ -59,13 +59,13 @@ class PlaySource:
         first = min(stored_range.first for stored_range in self.stored_ranges)
         if not self.where and self.times is None and self.chosen.low <= first <= self.chosen.high:
             return first
-        row = next(self._stored(self.chosen), None)
+        row = next(self._stored_rows(self.chosen), None)
         return None if row is None else row.received
 
     def rows(self, time_range: TimeRange) -> Iterator[tuple[int, PlayedRow]]:
         """Yield its rows in a time range, each with its time."""
-        inner = self._received(time_range)
-        return ((row.received + self.shift, row) for row in self._stored(inner))
+        inner = self._receive_times(time_range)
+        return ((row.received + self.shift, row) for row in self._stored_rows(inner))
 
     def rows_noting_latched(
         self, time_range: TimeRange, sent: LatchedRecord
@@ -76,12 +76,12 @@ class PlaySource:
                 sent.note(row)
             yield t, row
 
-    def _received(self, time_range: TimeRange) -> TimeRange:
+    def _receive_times(self, time_range: TimeRange) -> TimeRange:
         """Return the times of reception of a time range of the replay."""
         low, high = time_range.low - self.shift, time_range.high - self.shift
         return TimeRange(max(0, low, self.chosen.low), min(high, self.chosen.high))
 
-    def _stored(self, time_range: TimeRange) -> Iterator[PlayedRow]:
+    def _stored_rows(self, time_range: TimeRange) -> Iterator[PlayedRow]:
         if time_range.low > time_range.high:
             return iter(())
         whole = Read(time_range, self.whose)
@@ -90,13 +90,13 @@ class PlaySource:
 
     def events(self, time_range: TimeRange) -> Iterator[TimeRange]:
         """Yield the time ranges of its events in a time range, in order."""
-        low, high = self._received(time_range)
+        low, high = self._receive_times(time_range)
         spans = () if self.times is None else self.times.spans(low, high)
         return (TimeRange(a + self.shift, b + self.shift) for a, b in spans)
 
     def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
         """Yield the times of the messages of a topic that satisfy a condition, ns."""
-        inner = self._received(time_range)
+        inner = self._receive_times(time_range)
         if inner.low > inner.high:
             return iter(())
         rows = self.store.hits(topic, condition, Read(inner, self.whose))

@@ -157,7 +157,7 @@ class PlayStream:
         if self._align:
             # Dates have selected the messages already; they have no place on a common time line.
             start, end = (when if when and when.relative else None for when in (start, end))
-        received_range = _known(self._play_sources)
+        received_range = _message_range(self._play_sources)
         bounds = resolve_times(received_range, start, end, length)
         if end is not None and not end.relative:
             reason = far_outside("end", end.ns, received_range, "selected")
@@ -198,7 +198,8 @@ class PlayStream:
         if not self._align:
             return self._with_messages([whole])
         first, last = (None if when is None or when.relative else when for when in (start, end))
-        resolve_times(_known(self._with_messages([whole])), first, last, None)  # checked as for all
+        # Checked as for all.
+        resolve_times(_message_range(self._with_messages([whole])), first, last, None)
         time_range = TimeRange(
             0 if first is None else first.ns, MAX_NS if last is None else last.ns
         )
@@ -369,8 +370,8 @@ class PlayStream:
         window = next(self._windows_from(t), None)
         if window is None:
             return []
-        rows = _merged([source.latched(window) for source in self._play_sources])
-        return [self._played(t, row, window) for t, row in rows]
+        rows = _merge([source.latched(window) for source in self._play_sources])
+        return [self._played_message(t, row, window) for t, row in rows]
 
     def messages(self, t: int | None = None) -> Iterator[PlayedMessage]:
         """Yield the messages from ``t`` on, ns, included; None = from the start.
@@ -387,10 +388,10 @@ class PlayStream:
         for number, window in enumerate(self._windows_from(low)):
             if sent is not None:
                 changed = [p.latched(window, s) for p, s in zip(self._play_sources, sent)]
-                for _, row in _merged(changed if number else []):
-                    yield self._played(window.low, row, window)
+                for _, row in _merge(changed if number else []):
+                    yield self._played_message(window.low, row, window)
             for at, row in self._rows(window, sent):
-                yield self._played(at, row, window)
+                yield self._played_message(at, row, window)
 
     def _rows(
         self, time_range: TimeRange, sent: Sequence[LatchedRecord] | None
@@ -408,7 +409,7 @@ class PlayStream:
             key=_order,
         )
 
-    def _played(self, t: int, row: PlayedRow, window: TimeRange) -> PlayedMessage:
+    def _played_message(self, t: int, row: PlayedRow, window: TimeRange) -> PlayedMessage:
         name = self._name_of(row.topic, row.node, split_seq(row.seq)[0])
         return PlayedMessage(t, row, name, window)
 
@@ -421,12 +422,12 @@ def _alone(source: PlaySource, stored_range: StoredRange) -> PlaySource:
     return replace(source, topics=[topic], whose=whose, where=where or None)
 
 
-def _known(sources: Sequence[PlaySource]) -> TimeRange:
+def _message_range(sources: Sequence[PlaySource]) -> TimeRange:
     """Return the time range of the replay's time line in which some sources have messages."""
     return TimeRange(min(p.known.low for p in sources), max(p.known.high for p in sources))
 
 
-def _merged(sources: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:
+def _merge(sources: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:
     return heapq.merge(*sources, key=_order)
 
 

@@ -94,15 +94,15 @@ def resolve_times(
     """
     low, high = received
     if start is not None:
-        low = _placed(received, start)
+        low = _time_of(received, start)
         if low < received.low:
             raise InvalidOption(f"the start, {_too_early(received, start)}")
         if low > received.high:
             raise InvalidOption(
-                f"the start, {_shown(received, start)}, lies after {_reach(received)}"
+                f"the start, {_when_text(received, start)}, lies after {_reach(received)}"
             )
     if end is not None:
-        high = _placed(received, end)
+        high = _time_of(received, end)
         if high < received.low:
             raise InvalidOption(f"the end, {_too_early(received, end)}")
         if high < low:
@@ -114,17 +114,17 @@ def resolve_times(
     return TimeRange(low, min(high, received.high))
 
 
-def _placed(received: TimeRange, when: When) -> int:
+def _time_of(received: TimeRange, when: When) -> int:
     return when.ns + received.low if when.relative else when.ns
 
 
-def _shown(received: TimeRange, when: When) -> str:
+def _when_text(received: TimeRange, when: When) -> str:
     return f"{when.ns / SECOND_NS:g} s" if when.relative else iso_time(when.ns)
 
 
 def _too_early(received: TimeRange, when: When) -> str:
     meant = other_unit(when.ns, received.low)
-    text = f"{iso_time(_placed(received, when))}, lies before {_reach(received)}"
+    text = f"{iso_time(_time_of(received, when))}, lies before {_reach(received)}"
     return f"{text}; {meant}" if meant else text
 
 

@@ -255,7 +255,7 @@ class Playback:
             again, self._again = self._again, True
             self._reader, self._window = reader, None
         try:
-            first = self._latched(t)
+            first = self._read_latched(t)
             if again:
                 # Before latched messages: subscribers clear their data when time goes back.
                 self._output.clock(t)
@@ -276,7 +276,7 @@ class Playback:
         finally:
             reader.close()
 
-    def _latched(self, t: int) -> list[PlayedMessage]:
+    def _read_latched(self, t: int) -> list[PlayedMessage]:
         """Read the latched messages; wait, like the reading thread, while the store is down."""
         ends = time.monotonic() + GIVE_UP_SEC
         while True:

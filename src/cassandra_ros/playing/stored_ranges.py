@@ -56,13 +56,15 @@ def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[Sto
     ranges: list[StoredRange] = []
     for (node, writer), rows in by_run.items():
         rows.sort(key=lambda row: row.bucket)
-        first, last = (_filled(keyspace, table, ordered) for ordered in (rows, rows[::-1]))
+        first, last = (_first_filled(keyspace, table, ordered) for ordered in (rows, rows[::-1]))
         if first is not None and last is not None:
             ranges.append(StoredRange(table, node, writer, first.t_min, last.t_max))
     return ranges
 
 
-def _filled(keyspace: Keyspace, table: TopicTable, rows: Sequence[BucketRow]) -> BucketRow | None:
+def _first_filled(
+    keyspace: Keyspace, table: TopicTable, rows: Sequence[BucketRow]
+) -> BucketRow | None:
     """Return the first bucket that is not empty; count its rows and those of the ones before."""
     settled = (settle(keyspace.directory, table, [row])[0] for row in rows)
     return next((row for row in settled if row.rows), None)

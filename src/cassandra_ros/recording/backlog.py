@@ -560,7 +560,7 @@ class Backlog:
             self.leaving = self._parking = True
             self._close_open()
             if self._gaps:
-                self._back += [_spooled(item) for item in self._handed]
+                self._back += [_spooled_row(item) for item in self._handed]
             self._buffer.release_all(self._handed)
             self._handed.clear()
         ends = time.monotonic() + LEAVE_SEC
@@ -580,7 +580,7 @@ class Backlog:
         """Keep messages that were taken and not written."""
         if not self._journal or self._gaps:
             with self._changed:
-                self._back += map(_spooled, items)
+                self._back += map(_spooled_row, items)
 
     def keep_rest(self) -> None:
         """Write the messages that were given back, and those that are left in the buffer.
@@ -591,7 +591,7 @@ class Backlog:
         self._thread.join()
         with self._changed:
             while items := self._buffer.take(CHUNK_MESSAGES, CHUNK_BYTES, 0.0):
-                self._back += map(_spooled, items)
+                self._back += map(_spooled_row, items)
                 self._buffer.release_all(items)
             for generation in sorted({generation for generation, _ in self._back}):
                 rows = [row for row_generation, row in self._back if row_generation == generation]
@@ -642,6 +642,6 @@ def _totals_of(messages: Iterable[tuple[str, int]]) -> Totals:
     return totals
 
 
-def _spooled(item: BufferedMessage) -> tuple[int, SpooledMessage]:
+def _spooled_row(item: BufferedMessage) -> tuple[int, SpooledMessage]:
     row = (item.source.connection, item.t, item.counter & _LOW, item.wire)
     return item.counter >> COUNTER_BITS, row

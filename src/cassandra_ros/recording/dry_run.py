@@ -59,7 +59,7 @@ def plan_topics(
                 fmt,
                 stored[0].ttl if stored else topic_settings.ttl,
                 bool(stored),
-                _described(topic_settings),
+                _describe_settings(topic_settings),
                 differences(topic_settings, stored[0]) if stored else [],
                 _problem(catalog, topic, msg_type, topic_settings.where)
                 if topic_settings.where
@@ -90,7 +90,7 @@ def _known_tables(catalog: Catalog, topic: str, msg_type: str) -> Sequence[Table
     return catalog.get(topic).tables if catalog.exists(topic) else ()
 
 
-def _described(topic_settings: TopicSettings) -> list[str]:
+def _describe_settings(topic_settings: TopicSettings) -> list[str]:
     texts: list[str | None] = [
         f"where {topic_settings.where}" if topic_settings.where else None,
         f"at most {topic_settings.rate_limit:g} Hz" if topic_settings.rate_limit else None,

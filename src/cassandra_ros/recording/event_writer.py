@@ -76,7 +76,7 @@ class EventWriter:
                 if not self._waiting:
                     return
                 event = next(iter(self._waiting.values()))
-            if not self._stored(event):
+            if not self._store_event(event):
                 with self._changed:
                     self._changed.wait(RETRY_SEC)
                 continue
@@ -84,7 +84,7 @@ class EventWriter:
                 if self._waiting.get(event.key) is event:  # else its end has come meanwhile
                     del self._waiting[event.key]
 
-    def _stored(self, event: Event) -> bool:
+    def _store_event(self, event: Event) -> bool:
         """Store an event; return False if it is to be tried again."""
         if not is_there(self._store):
             return False

@@ -53,17 +53,17 @@ class _NoEvents:
 
     def called(self, name: str, like: bool, read: Read) -> Iterator[NamedTime]:
         """Raise InvalidOption."""
-        raise self._refused()
+        raise self._refusal()
 
     def unknown(self, name: str, like: bool) -> str:
         """Raise InvalidOption."""
-        raise self._refused()
+        raise self._refusal()
 
     def times(self, name: str, like: bool, read: Read, others: Sequence[NamedTimes] = ()) -> Stays:
         """Raise InvalidOption."""
-        raise self._refused()
+        raise self._refusal()
 
-    def _refused(self) -> InvalidOption:
+    def _refusal(self) -> InvalidOption:
         return InvalidOption(
             "EVENT asks for events of a robot, which are known for stored messages only: record "
             "the messages, then query them with EVENT"

@@ -110,13 +110,13 @@ class MessageSource:
     def is_ripe(self) -> bool:
         """Return whether the rate is known well enough to fix the bucket length."""
         enough = self._seen >= FIRST_MESSAGES or self._seen_bytes >= FIRST_BYTES
-        return enough or self._watched() >= FIRST_SEC
+        return enough or self._watched_sec() >= FIRST_SEC
 
     def lengths(self) -> Lengths:
         """Return the lengths of buckets and blocks for the observed rate."""
-        return lengths_for(self._seen, self._seen_bytes, self._watched())
+        return lengths_for(self._seen, self._seen_bytes, self._watched_sec())
 
-    def _watched(self) -> float:
+    def _watched_sec(self) -> float:
         # Messages that waited for the store or come from a snapshot are handed on in a moment: for
         # them only the times of reception show the rate.
         here = time.monotonic() - self._since if self._seen else 0.0

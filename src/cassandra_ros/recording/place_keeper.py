@@ -254,7 +254,7 @@ class PlaceKeeper:
         placed: list[IndexedPoses] = []
         for name in moving:
             visits += self._visits(name, low, high)
-            placed += self._placed(name, high)
+            placed += self._indexed_poses(name, high)
         self._store.result().keyspace.place_index.put(visits, placed, self._ttl(moving))
         self._said.update((poses.table, poses.robot) for poses in placed)
         self._noted, self._read_to = high, self._latest
@@ -332,7 +332,7 @@ class PlaceKeeper:
             self._told[name] = TopicVisits(self._find, name, self._whose)
         return list(self._told[name].visits(self._table(name), low, high))
 
-    def _placed(self, name: str, high: int) -> list[IndexedPoses]:
+    def _indexed_poses(self, name: str, high: int) -> list[IndexedPoses]:
         notes = self._tf if name == TF else self._told[name]
         if notes is None:
             return []

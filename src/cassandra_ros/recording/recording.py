@@ -429,7 +429,7 @@ class Recording:
         with self._lock:
             self._accepting = False
             if self._limit:
-                later._go_on_counting(self._kept())
+                later._go_on_counting(self._limit_counts())
             later.refuse(self._refusal)
             switch()
 
@@ -437,7 +437,7 @@ class Recording:
         """Count messages of an earlier run, by topic, for the limit too."""
         self._before = before
 
-    def _kept(self) -> dict[str, int]:
+    def _limit_counts(self) -> dict[str, int]:
         """Return the number of messages of each topic that count for the limit."""
         counts = Counter(self._before)
         for report in self.reports():
@@ -551,7 +551,7 @@ class Recording:
             source = self._tables.decided.popleft()
             self._waiting.remove(source)
             while source.waiting:
-                self._route(self._released(source))
+                self._route(self._release(source))
         if self._backlog is not None:
             if self._backlog.leaving:
                 return True
@@ -576,7 +576,7 @@ class Recording:
             # Messages that wait for tables use at most half of the buffer, so that topics that
             # have a table go on.
             while self._is_over(source):
-                old = self._released(source)
+                old = self._release(source)
                 self._buffer.release(old)
                 self._lose(source.topic, LossKind.TABLE_LATE, "", old.t)
             return
@@ -596,7 +596,7 @@ class Recording:
             return False
         return source.told and self._waiting_bytes > self._most_waiting and len(source.waiting) > 1
 
-    def _released(self, source: MessageSource) -> BufferedMessage:
+    def _release(self, source: MessageSource) -> BufferedMessage:
         item = source.waiting.popleft()
         self._waiting_bytes -= item.nbytes
         return item
@@ -644,10 +644,10 @@ class Recording:
             block_sec=self._block_sec,
             # No time limit: during an outage messages are lost only when the buffer is full.
             give_up_after_sec=math.inf,
-            on_loss=self._refused,
+            on_loss=self._on_refusal,
         )
 
-    def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
+    def _on_refusal(self, topic: str, messages: int, error: CassandraRosError) -> None:
         first, last = (error.first_ns, error.last_ns) if isinstance(error, WriteFailed) else (0, 0)
         first, last = first or self.now(), last or self.now()
         self._counts.lost(topic, messages, LossKind.REFUSED, first, str(error), last)
@@ -705,7 +705,7 @@ class Recording:
         ends = since + timeout_sec
         while (self._thread.is_alive() or self._has_pending()) and time.monotonic() < ends:
             self._thread.join(POLL_SEC) if self._thread.is_alive() else time.sleep(POLL_SEC)
-            settled = sum(self._stored().values()) + sum(r.lost for r in self.reports())
+            settled = sum(self._stored_counts().values()) + sum(r.lost for r in self.reports())
             if settled != before:
                 before, since = settled, time.monotonic()
             patience = LEAVE_SEC if self.is_held_up else SLOW_SEC
@@ -820,13 +820,13 @@ class Recording:
 
     def _settle(self) -> None:
         self._ended.set()
-        self._counts.settle(self._stored(), self._latest or time.time_ns())
+        self._counts.settle(self._stored_counts(), self._latest or time.time_ns())
 
     def reports(self) -> list[TopicReport]:
         """Return the report of each topic so far."""
-        return self._counts.reports(self._stored())
+        return self._counts.reports(self._stored_counts())
 
-    def _stored(self) -> Counter[str]:
+    def _stored_counts(self) -> Counter[str]:
         stored: Counter[str] = Counter()
         for writer in self._writers:
             stored.update({topic: stats.stored for topic, stats in writer.stats().items()})

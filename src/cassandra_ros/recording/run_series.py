@@ -345,7 +345,7 @@ class RunSeries:
                     split = list(self._closing)
                 for run in split:
                     run.abandon()
-                return self._ended(recording, recording.abandon())
+                return self._note_end(recording, recording.abandon())
             if time.monotonic() > tell_at or recording.is_held_up:
                 messages, nbytes = recording.waiting()
                 if messages and tell_at < math.inf:
@@ -361,9 +361,9 @@ class RunSeries:
                         record,
                     )
         # Returns or raises again what it did on that thread.
-        return self._ended(recording, recording.close())
+        return self._note_end(recording, recording.close())
 
-    def _ended(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
+    def _note_end(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
         self._problem = recording.problem
         with self._mutex:
             self._kept.append(_EndedRun(next(self._order), recording, reports))

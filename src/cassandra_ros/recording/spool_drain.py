@@ -295,11 +295,11 @@ class Drain:
                 node=self._label.node,
                 ttl=self._settings.default.ttl,
                 give_up_after_sec=math.inf,
-                on_loss=self._refused,
+                on_loss=self._on_refusal,
             )
         return writer
 
-    def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
+    def _on_refusal(self, topic: str, messages: int, error: CassandraRosError) -> None:
         causes = error, error.__cause__
         if self._stopped.is_set() or any(isinstance(exc, StoreUnavailable) for exc in causes):
             self._silent = True
@@ -346,13 +346,13 @@ class Drain:
 
     def _connect(self, writer: MessageWriter, connection: Connection, lengths: Lengths) -> Handle:
         """Return a handle; try again while other clients change the table or hold the lock."""
-        for tries_left in reversed(range(MAX_CONFLICTS)):
+        for _ in range(MAX_CONFLICTS - 1):
             try:
                 return connect(writer, connection, lengths, self._settings)
             except (SchemaConflict, WriteFailed):
-                if not tries_left or self._stopped.wait(PAUSE_SEC):
+                if self._stopped.wait(PAUSE_SEC):
                     raise
-        raise AssertionError("the loop above returns or raises")
+        return connect(writer, connection, lengths, self._settings)
 
     def _note(self, segment_part: SegmentPart) -> None:
         """Note what is damaged and what is missing."""

@@ -92,15 +92,15 @@ def settings_from_json(values: Mapping[str, Any]) -> RecordingSettings:
     """Return the settings that settings_as_json returned as JSON."""
     try:
         rules = [
-            [(pattern, _known(rule)) for pattern, rule in topic_rules]
+            [(pattern, _setting_values(rule)) for pattern, rule in topic_rules]
             for topic_rules in values["rules"]
         ]
-        return RecordingSettings(TopicSettings(**_known(values["default"])), rules)
+        return RecordingSettings(TopicSettings(**_setting_values(values["default"])), rules)
     except (KeyError, TypeError, ValueError, AttributeError) as exc:
         raise InvalidOption(f"the settings {str(values)!r:.200} cannot be used: {exc!r}") from exc
 
 
-def _known(values: Mapping[str, Any]) -> Mapping[str, Any]:
+def _setting_values(values: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the values of one TopicSettings; JSON has lists for tuples."""
     names = {member.name for member in fields(TopicSettings)}.intersection(values)
     return {n: tuple(values[n]) if isinstance(values[n], list) else values[n] for n in names}

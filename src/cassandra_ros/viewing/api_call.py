@@ -66,19 +66,19 @@ class ApiCall:
                 raise InvalidOption(f"{path} needs the parameter {name}: {parameter.summary}")
 
     @cached_property
-    def _shared(self) -> ViewerContext:
+    def _context(self) -> ViewerContext:
         """Store and caches of the requested keyspace; opened on the handler's thread."""
         return self._viewer.of(self.text(KEYSPACE.name) or "")
 
     @property
     def store(self) -> RosCassandra:
         """The store, open on the requested keyspace; shared by all calls, which only read."""
-        return self._shared.store
+        return self._context.store
 
     @property
     def fleet(self) -> ViewedFleet:
         """The stores of a viewer of several stores."""
-        context = self._shared
+        context = self._context
         if not isinstance(context.source, Fleet):
             raise TypeError("the viewer shows one store")
         make = partial(ViewedFleet, context.source, self.settings.store_pause_sec)
@@ -87,7 +87,7 @@ class ApiCall:
     @property
     def catalog(self) -> Catalog:
         """Topics of the requested keyspace."""
-        return self._shared.store.catalog
+        return self._context.store.catalog
 
     @property
     def statements(self) -> StatementProcesses:
@@ -102,7 +102,7 @@ class ApiCall:
 
     def cached(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
         """Return the object that ``make`` returned for this keyspace at the first call."""
-        return self._shared.get(make, partial(make, self.catalog, self.settings))
+        return self._context.get(make, partial(make, self.catalog, self.settings))
 
     def cached_by_viewer(self, make: Callable[[ViewerSettings], T]) -> T:
         """Return the object that ``make`` returned for this viewer at the first call."""

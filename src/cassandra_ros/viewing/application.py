@@ -54,7 +54,7 @@ def make_application(
     """
     check_settings(settings)
     guard, handling = Guard(settings), HandlerThreads(ViewerContext(source, settings))
-    application = web.Application(middlewares=[_errors_told, guard.check])
+    application = web.Application(middlewares=[_answer_errors, guard.check])
     application.on_response_prepare.append(guard.protect)
     application.on_shutdown.append(handling.stop)
     application.on_cleanup.append(handling.close)
@@ -102,16 +102,16 @@ def _inside(folder: Path, name: str) -> Path | None:
 
 
 @web.middleware
-async def _errors_told(request: web.Request, handler: Handler) -> web.StreamResponse:
+async def _answer_errors(request: web.Request, handler: Handler) -> web.StreamResponse:
     """Answer errors as JSON for the API, and as text for pages."""
     try:
         return await handler(request)
     except CassandraRosError as exc:
-        return _told(status_of(exc), type(exc).__name__, str(exc), exc)
+        return _error_answer(status_of(exc), type(exc).__name__, str(exc), exc)
     except web.HTTPError as exc:
         if not request.path.startswith("/api/"):
             raise
-        answer = _told(exc.status, type(exc).__name__, _text_of(request, exc), exc)
+        answer = _error_answer(exc.status, type(exc).__name__, _text_of(request, exc), exc)
         if "Allow" in exc.headers:
             answer.headers["Allow"] = exc.headers["Allow"]
         return answer
@@ -126,7 +126,7 @@ def _text_of(request: web.Request, error: web.HTTPError) -> str:
     return error.text or error.reason
 
 
-def _told(status: int, name: str, text: str, error: Exception) -> web.Response:
+def _error_answer(status: int, name: str, text: str, error: Exception) -> web.Response:
     body: dict[str, Json] = {"error": name, "text": text.rstrip("\n")}
     if isinstance(error, InvalidQuery):
         body.update(statement=error.statement, position=error.position, reason=error.reason)

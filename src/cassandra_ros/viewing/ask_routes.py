@@ -85,10 +85,10 @@ def statement_of(call: ApiCall) -> Select:
     select, given = parse_select(call.text("q") or ""), call.texts("nodes") or ()
     if len(given) < 2:
         return select
-    return _narrowed(select, [OneOf(NodeOperand(0), tuple(Literal(text, 0) for text in given))])
+    return _narrow(select, [OneOf(NodeOperand(0), tuple(Literal(text, 0) for text in given))])
 
 
-def _narrowed(select: Select, terms: Sequence[Expression]) -> Select:
+def _narrow(select: Select, terms: Sequence[Expression]) -> Select:
     conditions = (*terms, *(() if select.condition is None else (select.condition,)))
     return replace(select, condition=All(conditions)) if terms else select
 
@@ -122,7 +122,7 @@ def windowed(call: ApiCall, select: Select, tables: Sequence[Table]) -> Select:
         for operator, ns in ends.items()
         if ns is not None
     ]
-    return _narrowed(select, terms)
+    return _narrow(select, terms)
 
 
 def page_of(

@@ -33,7 +33,7 @@ async def send_file(request: web.Request, file: CachedFile) -> web.StreamRespons
     if request.if_match is not None and not _names(request.if_match, file.etag):
         return web.Response(status=412)
     loop = asyncio.get_running_loop()
-    stream, size = await loop.run_in_executor(None, _opened, file.path)
+    stream, size = await loop.run_in_executor(None, _open_file, file.path)
     try:
         offsets = asked_offsets(request, file.etag, size)
         response = _response(file, offsets, size)
@@ -88,7 +88,7 @@ def _response(file: CachedFile, offsets: range | None, size: int) -> web.StreamR
     return response
 
 
-def _opened(path: Path) -> tuple[IO[bytes], int]:
+def _open_file(path: Path) -> tuple[IO[bytes], int]:
     """Open a file; return it with its size in bytes."""
     try:
         stream = path.open("rb")

@@ -346,10 +346,10 @@ def _latest(call: ApiCall, stores: FleetAnswer) -> _Told:
         return iter(finder.before(t, since, sources))
 
     rows = merged_rows(stores, {store: partial(begin, finder) for store, finder in finders.items()})
-    return _stream(call, stores, iter(_held(rows, t, since)))
+    return _stream(call, stores, iter(_held_messages(rows, t, since)))
 
 
-def _held(rows: Iterable[FleetRow], t: int, since: int) -> list[FleetRow]:
+def _held_messages(rows: Iterable[FleetRow], t: int, since: int) -> list[FleetRow]:
     """Return which of the last messages of each store hold at t, as one store with all tells it.
 
     Args:

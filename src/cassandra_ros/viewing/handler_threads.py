@@ -86,7 +86,7 @@ class HandlerThreads:
             return web.Response(
                 body=body.data, content_type=body.content_type, headers=body.headers
             )
-        with self._held(len(body.data)):
+        with self._hold_bytes(len(body.data)):
             response = web.StreamResponse(headers=body.headers)
             response.content_type = body.content_type
             response.content_length = len(body.data)
@@ -99,7 +99,7 @@ class HandlerThreads:
             return response
 
     @contextlib.contextmanager
-    def _held(self, size: int) -> Iterator[None]:
+    def _hold_bytes(self, size: int) -> Iterator[None]:
         """Count bytes of an answer until the client has read them.
 
         Raises:
@@ -128,7 +128,7 @@ class HandlerThreads:
             await response.prepare(request)
             while chunk is not None and request.method != "HEAD":
                 if chunk:
-                    with self._held(len(chunk)):
+                    with self._hold_bytes(len(chunk)):
                         await response.write(chunk)
                 chunk = await self._run(chunks.next)
             if call.gone.is_set():  # the stream may have ended early: it must not look complete

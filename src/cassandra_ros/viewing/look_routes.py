@@ -177,7 +177,7 @@ def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> J
 def _messages(call: ApiCall) -> StreamedBody:
     read, limit = page_read(call, whose_of(call))
     # Messages stored under names are not played: /api/latest has them.
-    tables = [table for table in _shown(call) if not table.named]
+    tables = [table for table in _shown_tables(call) if not table.named]
     rows = call.catalog.keyspace.rows.read(tables, read)
     return StreamedBody(frames(until_gone(call, rows), limit), CONTENT_TYPE)
 
@@ -195,7 +195,7 @@ def page_read(call: ApiCall, whose: Whose) -> tuple[Read, int]:
 
 
 def _latest(call: ApiCall) -> StreamedBody:
-    finder = call.cached(_Finders).of(_shown(call), whose_of(call))
+    finder = call.cached(_Finders).of(_shown_tables(call), whose_of(call))
     return StreamedBody(
         frames(until_gone(call, iter(finder.before(*moment_of(call))))), CONTENT_TYPE
     )
@@ -207,7 +207,7 @@ def moment_of(call: ApiCall) -> tuple[int, int]:
     return LAST_NS - 1 if t is None else t, 0 if since is None else since
 
 
-def _shown(call: ApiCall) -> list[TopicTable]:
+def _shown_tables(call: ApiCall) -> list[TopicTable]:
     return [table for table in tables_of(call) if not reason_not_shown(table)]
 
 

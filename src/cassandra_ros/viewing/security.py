@@ -106,7 +106,7 @@ class Guard:
         """Answer a request by ``handler`` if the access rules allow it."""
         self._check_host(request)
         self._check_site(request)
-        if request.method == "OPTIONS" and self._allowed(request):
+        if request.method == "OPTIONS" and self._allowed_origin(request):
             return web.Response(status=204)
         if self._token:
             if not self._knows_token(request):
@@ -122,7 +122,7 @@ class Guard:
         headers["Referrer-Policy"] = "no-referrer"
         headers["Content-Security-Policy"] = policy_of(request.path)
         headers["Vary"] = "Origin"
-        origin = self._allowed(request)
+        origin = self._allowed_origin(request)
         headers["Cross-Origin-Resource-Policy"] = "cross-origin" if origin else "same-origin"
         if not origin:
             return
@@ -135,7 +135,7 @@ class Guard:
             headers["Access-Control-Allow-Private-Network"] = "true"
             headers["Access-Control-Max-Age"] = "600"
 
-    def _allowed(self, request: web.Request) -> str:
+    def _allowed_origin(self, request: web.Request) -> str:
         """Return the origin of the requesting page if it is allowed, else ''."""
         origin = request.headers.get("Origin", "")
         return origin if origin in self._origins else ""
@@ -181,7 +181,7 @@ class Guard:
         follows_link = navigates and not request.path.startswith(_ANSWERS)
         if not foreign and (not cross or follows_link):
             return
-        if not self._allowed(request) and not (navigates and self._may_lead_here(request)):
+        if not self._allowed_origin(request) and not (navigates and self._may_lead_here(request)):
             raise web.HTTPForbidden(
                 text=f"a page of {shown(origin) or 'another site'} may not read this viewer: "
                 "start it with --allow-origin and the origin of that page to let it\n"

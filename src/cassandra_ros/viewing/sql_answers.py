@@ -31,7 +31,7 @@ from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.selection_parameters import whose_of
 
 
-def _answered(call: ApiCall, watch: Watch, plan: bool = False) -> ContextManager[SqlAnswer]:
+def _open_answer(call: ApiCall, watch: Watch, plan: bool = False) -> ContextManager[SqlAnswer]:
     """Return the answer to the statement of a call; on entering it waits for its turn."""
     keyspace = call.catalog.keyspace.name
     statement = Statement(keyspace, call.text("q") or "", whose_of(call), plan=plan)
@@ -51,8 +51,8 @@ def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Watch) -> Json:
     times: list[Json] = []
     kinds: list[Json] = []
     more = False
-    with _answered(call, watch) as answer:
-        for batch, at in _windowed(answer, call.time_ns("start"), call.time_ns("end")):
+    with _open_answer(call, watch) as answer:
+        for batch, at in _batches_within(answer, call.time_ns("start"), call.time_ns("end")):
             kinds = [_kind(field.type) for field in batch.schema]
             more = _add_rows(cells, rows, zip(_rows_of(batch), at), times, (limit, page_bytes))
             if more:
@@ -83,7 +83,7 @@ def _add_rows(
     return False
 
 
-def _windowed(
+def _batches_within(
     answer: SqlAnswer, low: int | None, high: int | None
 ) -> Iterator[tuple[Any, list[Json]]]:
     """Yield batches of the rows in a time range, and the time of each row, ns."""
@@ -132,7 +132,7 @@ def _kind(kind: Any) -> str:
 
 def sql_plan(call: ApiCall, watch: Watch) -> Json:
     """Answer with what a statement read, and DuckDB's plan; it is run to its end."""
-    with _answered(call, watch, plan=True) as answer:
+    with _open_answer(call, watch, plan=True) as answer:
         return {"text": answer.explanation()}
 
 
@@ -140,5 +140,5 @@ def sql_plot(
     call: ApiCall, window: tuple[int | None, int | None], pixels: int, watch: Watch
 ) -> SqlSeries:
     """Return the numbers of a statement over time."""
-    with _answered(call, watch) as answer:
+    with _open_answer(call, watch) as answer:
         return read_sql_series(answer.batches(), *window, pixels)

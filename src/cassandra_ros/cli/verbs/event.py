@@ -121,11 +121,11 @@ def _value(text: str) -> object:
 
 def _end(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
     _, end = read_times(options)
-    _tell(ros_cas.endEvent(_lasting(ros_cas, options), end), options, "ended")
+    _tell(ros_cas.endEvent(_lasting_event(ros_cas, options), end), options, "ended")
     return 0
 
 
-def _lasting(ros_cas: RosCassandra, options: argparse.Namespace) -> Event:
+def _lasting_event(ros_cas: RosCassandra, options: argparse.Namespace) -> Event:
     """Return the event of a key, or the one that lasts of a name.
 
     Raises:
@@ -155,14 +155,14 @@ def _tell(event: Event, options: argparse.Namespace, done: str) -> None:
         print(f"event {shown(event.name)} is {done}; its key is {event.key}")
 
 
-def _selected(ros_cas: RosCassandra, options: argparse.Namespace) -> Iterator[Event]:
+def _selected_events(ros_cas: RosCassandra, options: argparse.Namespace) -> Iterator[Event]:
     start, end = read_times(options)
     which = {"like" if options.like else "name": options.event}
     return ros_cas.events(key=start, to_key=end, nodeID=options.node_id, run=options.run, **which)
 
 
 def _list(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
-    events = islice(_selected(ros_cas, options), options.limit)
+    events = islice(_selected_events(ros_cas, options), options.limit)
     if options.json:
         print_json([_facts(event) for event in events])
         return 0
@@ -172,7 +172,7 @@ def _list(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
 
 
 def _delete(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
-    events = list(_selected(ros_cas, options))
+    events = list(_selected_events(ros_cas, options))
     if not events:  # the name is a key, then
         events = [ros_cas.catalog.keyspace.events.get(options.event)]
     if options.node_id is not None:  # those of all robots count for this one, too, and stay

@@ -266,7 +266,7 @@ def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> No
             (
                 shown(outcome.path),
                 str(outcome.report.messages) if outcome.report else "-",
-                _lost(outcome.report) if outcome.report else "-",
+                _loss_text(outcome.report) if outcome.report else "-",
                 outcome.state,
             )
             for outcome in outcomes
@@ -275,7 +275,7 @@ def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> No
         print("\n" + format_table(header, rows, right=("messages", "lost")))
 
 
-def _lost(report: ImportReport) -> str:
+def _loss_text(report: ImportReport) -> str:
     size = report.salvaged.lost_bytes
     return format_bytes(size) if size else str(sum(report.lost.values()))
 

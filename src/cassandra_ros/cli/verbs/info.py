@@ -135,7 +135,7 @@ def run(options: argparse.Namespace) -> int:
         answers = _answer(description)
         if options.json:
             answers["activity"] = _activity_answer(description.activity)
-        answer = _chosen(answers, options.key)
+        answer = _value_of_key(answers, options.key)
         (_print_yaml if options.yaml else print_json)(answer)
         return 0
     _print_summary(description)
@@ -167,7 +167,7 @@ def _tell_fleet(options: argparse.Namespace) -> int:
         infos = fleet.info(names, nodeID=options.node_id, run=options.run)
     missing = {**present.missing, **infos.missing}
     if options.yaml or options.json:
-        answer = _chosen(answer_of(infos, missing), options.key)
+        answer = _value_of_key(answer_of(infos, missing), options.key)
         (_print_yaml if options.yaml else print_json)(answer)
     else:
         print_infos(infos)
@@ -378,7 +378,7 @@ def _topic_answer(info: TopicInfo, sample: MessageSample) -> dict[str, object]:
     return {**head, **values}
 
 
-def _chosen(answer: dict[str, object], key: str | None) -> object:
+def _value_of_key(answer: dict[str, object], key: str | None) -> object:
     if key is None:
         return answer
     if key not in answer:

@@ -124,7 +124,7 @@ def run(options: argparse.Namespace) -> int:
     (start, end), choice = read_times(options), _choice(options)
     event = read_event(options)
     map_options = MapOptions(
-        **_given(
+        **_given_values(
             resolution=options.resolution,
             max_range=options.max_range,
             min_height=options.min_height,
@@ -194,7 +194,7 @@ def _choice(options: argparse.Namespace) -> PoseChoice:
         offset = Rigid.planar([x], [y], [yaw])
         offset.moved[:, 2] = options.sensor_height or 0.0
     return PoseChoice(
-        **_given(
+        **_given_values(
             frame=options.frame,
             odom=options.odom,
             sensor_offset=offset,
@@ -205,7 +205,7 @@ def _choice(options: argparse.Namespace) -> PoseChoice:
     )
 
 
-def _given(**values: Any) -> dict[str, Any]:
+def _given_values(**values: Any) -> dict[str, Any]:
     """Return the values that are not None; the library has defaults for the others."""
     return {name: value for name, value in values.items() if value is not None}
 

@@ -135,8 +135,8 @@ def run(options: argparse.Namespace) -> int:
         if options.dry_run or not options.yes:
             results = retain("counting", dry_run=True)
         if not options.dry_run:
-            if not options.yes and _gone(results):
-                confirm(f"Drop {counted(_gone(results), 'message')}?", _table(results))
+            if not options.yes and _dropped_messages(results):
+                confirm(f"Drop {counted(_dropped_messages(results), 'message')}?", _table(results))
             results = retain("dropping", dry_run=False)
     _print(options, results)
     return 0
@@ -149,7 +149,7 @@ def _print(options: argparse.Namespace, results: Sequence[Retained]) -> None:
     elif not options.quiet:
         if any(result.messages for result in results):
             print(_table(results))
-        gone = _gone(results)
+        gone = _dropped_messages(results)
         ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
         print(f"{counted(gone, 'message')} {ends} dropped")
 
@@ -174,14 +174,14 @@ def _keep_under(options: argparse.Namespace) -> int:
         if options.dry_run or not options.yes:
             results = keep(dry_run=True)
         if not options.dry_run:
-            if not options.yes and _gone(results):
-                confirm(f"Drop {counted(_gone(results), 'message')}?", _table(results))
+            if not options.yes and _dropped_messages(results):
+                confirm(f"Drop {counted(_dropped_messages(results), 'message')}?", _table(results))
             results = keep(dry_run=False)
     _print(options, results)
     return 0
 
 
-def _gone(results: Sequence[Retained]) -> int:
+def _dropped_messages(results: Sequence[Retained]) -> int:
     return sum(result.dropped + result.thinned for result in results)
 
 

@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     return {"list": _list, "drain": _drain, "drop": _drop}[options.action](options, folder)
 
 
-def _chosen(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
+def _lock_runs(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
     """Yield the runs without a process with these ids, or all, locked one after the other."""
     from cassandra_ros.recording.spool_drain import read_left
 
@@ -100,7 +100,7 @@ def _chosen(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
             raise SpoolError(f"run {name} is being recorded: end its recorder first")
 
 
-def _listed(path: Path, state: str) -> _ListedRun:
+def _describe_run(path: Path, state: str) -> _ListedRun:
     from cassandra_ros.errors import CassandraRosError
     from cassandra_ros.files.spool.segment_reader import SegmentReader
     from cassandra_ros.files.spool.spool_folder import run_bytes, run_files
@@ -136,7 +136,7 @@ def _left_names(folder: SpoolFolder) -> list[str]:
 def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
     left_ids = _left_names(folder)
     paths = [p for p in folder.runs() if not options.runs or p.name in options.runs]
-    runs = [_listed(p, "left" if p.name in left_ids else "recording") for p in paths]
+    runs = [_describe_run(p, "left" if p.name in left_ids else "recording") for p in paths]
     if options.json:
         print_json([listed_run._asdict() for listed_run in runs])
     elif not options.quiet:
@@ -168,7 +168,7 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
     mine = options.keyspace, f"{','.join(hosts)}:{port}"
     answer, failed = [], False
     with open_store(options, make=True) as ros_cas:
-        for left_run in _chosen(folder, options.runs):
+        for left_run in _lock_runs(folder, options.runs):
             label = left_run.label
             if label is None or not (options.runs or (label.keyspace, label.address) == mine):
                 where = (
@@ -195,11 +195,11 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
 def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
     chosen = options.runs or _left_names(folder)
     if not options.yes:
-        listed = [_listed(folder.path / name, "left") for name in chosen]
+        listed = [_describe_run(folder.path / name, "left") for name in chosen]
         messages = sum(listed_run.messages for listed_run in listed)
         confirm(f"Delete {counted(messages, 'message')} of the spool?", "\n".join(chosen))
     dropped = []
-    for left_run in _chosen(folder, chosen) if chosen else ():
+    for left_run in _lock_runs(folder, chosen) if chosen else ():
         left_run.folder.remove()
         dropped.append(left_run.folder.path.name)
         if not (options.quiet or options.json):
@@ -226,7 +226,7 @@ def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
     messages, damaged = 0, []
     with make_file(target) as writer:
         numbers: dict[Connection, int] = {}
-        for left_run in _chosen(folder, ids):
+        for left_run in _lock_runs(folder, ids):
             for segment_part in read_run(left_run.folder):
                 damaged += [segment_part.damage] * bool(segment_part.damage)
                 for connection, t_ns, _, wire in segment_part.messages:

@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
             return 0
         where = (options.output_file, options.force)
         if options.output == "parquet":
-            write_batches(_limited(result, options.limit), *where)
+            write_batches(_limit_batches(result, options.limit), *where)
             return 0
         columns = [(name, ArrayType("mixed")) for name in result.columns]
         rows = (tuple(map(printable_value, row)) for row in islice(result, options.limit))
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _limited(result: SqlResult, limit: int | None) -> Iterator[pyarrow.RecordBatch]:
+def _limit_batches(result: SqlResult, limit: int | None) -> Iterator[pyarrow.RecordBatch]:
     """Yield the batches of a result, with at most so many rows; at least one batch."""
     remaining = limit
     for batch in result.batches():

@@ -145,7 +145,7 @@ def _draw(
     from cassandra_ros.viewing.drawing.images import picture_of
 
     every_ns = seconds_to_ns(options.every) if options.every else 0
-    rows = spaced_rows(catalog, topic, _chosen(catalog, topic, options), count, every_ns)
+    rows = spaced_rows(catalog, topic, _message_choice(catalog, topic, options), count, every_ns)
     for row in rows:
         try:
             picture = picture_of(row, options.width)
@@ -155,7 +155,7 @@ def _draw(
             yield _Thumbnail(row.t, row.node, CaptionedPicture("", None), exc)
 
 
-def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> MessageChoice:
+def _message_choice(catalog: Catalog, topic: str, options: argparse.Namespace) -> MessageChoice:
     from cassandra_ros.topics.overview.time_sample import MessageChoice
 
     start, end = read_times(options)

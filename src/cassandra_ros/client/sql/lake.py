@@ -74,7 +74,7 @@ class DayPart(NamedTuple):
     def folder(self) -> str:
         """Its folder, inside that of the topic."""
         date = _EPOCH + timedelta(days=self.day)
-        return f"day={date:%Y-%m-%d}/robot={_quoted(self.node) or NO_ROBOT}"
+        return f"day={date:%Y-%m-%d}/robot={_folder_name(self.node) or NO_ROBOT}"
 
     @property
     def pushed(self) -> PushedRead:
@@ -132,7 +132,7 @@ class Lake:
         """
         report = LakeReport()
         with self._alone():
-            for topic in self._timed():
+            for topic in self._timed_topics():
                 self._write_topic(topic, report, progress)
         return report
 
@@ -152,7 +152,7 @@ class Lake:
         finally:
             os.close(lock)
 
-    def _timed(self) -> Iterator[CassandraTopic]:
+    def _timed_topics(self) -> Iterator[CassandraTopic]:
         """Yield the topics whose messages have times."""
         for topic in self._topics:
             if any(table.named for table in topic.tables):
@@ -162,7 +162,7 @@ class Lake:
 
     def _write_topic(self, topic: CassandraTopic, report: LakeReport, progress: Progress) -> None:
         source = self._source(topic)
-        folder = self._folder / _quoted(topic.name.lstrip("/"))
+        folder = self._folder / _folder_name(topic.name.lstrip("/"))
         listing = _read_listing(folder)
         same = hashlib.sha256(source.schema.schema.serialize().to_pybytes()).hexdigest()
         files = listing["files"] if listing.get("schema") == same else {}
@@ -257,9 +257,9 @@ class Lake:
             MissingDependency: DuckDB is not installed.
         """
         report = LakeReport()
-        for topic in self._timed():
+        for topic in self._timed_topics():
             source = self._source(topic)
-            folder = self._folder / _quoted(topic.name.lstrip("/"))
+            folder = self._folder / _folder_name(topic.name.lstrip("/"))
             parts = {day_part.folder: day_part for day_part, _ in self._parts(source.tables)}
             for name in sorted({*parts, *_read_listing(folder)["files"]}):
                 path = folder / name / FILE
@@ -318,7 +318,7 @@ def _digest_of(source: TopicSource | _FileSource) -> tuple[int, int | None]:
         database.close()
 
 
-def _quoted(name: str) -> str:
+def _folder_name(name: str) -> str:
     """Return a name as that of a folder which no reader takes for hidden."""
     folder = quote(name, safe="")
     first = {"_": "%5F", ".": "%2E", "-": "%2D"}.get(folder[:1])

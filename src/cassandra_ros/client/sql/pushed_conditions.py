@@ -193,13 +193,13 @@ class _ConditionFinder:
             return
         names = {alias: _Names(self, alias, sources, scope, select) for alias in sources}
         # What holds for each row of the result, as far as the row has one of the table.
-        holds = {alias: self._bound(where.this, names[alias]) for alias in sources}
-        shifting = self._shifting(select)
+        holds = {alias: self._where_bounds(where.this, names[alias]) for alias in sources}
+        shifting = self._shifting_tables(select)
         reads = {a: EVERYTHING if a in shifting else read for a, read in holds.items()}
-        for join in self._comparing(select):
+        for join in self._comparing_joins(select):
             alias = join.this.alias_or_name
             if alias in names:
-                implied = _all_of(list(self._implied(join, alias, names, holds)))
+                implied = _all_of(list(self._implied_reads(join, alias, names, holds)))
                 holds[alias] = holds[alias].both(implied)
                 reads[alias] = reads[alias].both(implied)
         for alias, source in sources.items():
@@ -220,11 +220,11 @@ class _ConditionFinder:
         methods = {(j.method or "").upper() for j in inner if j.parent_select is select}
         return not methods <= {"", "NATURAL"}
 
-    def _bound(self, condition: Any, names: _Names) -> PushedRead:
+    def _where_bounds(self, condition: Any, names: _Names) -> PushedRead:
         parts = (self._read_of(conjunct, names) for conjunct in self._conjuncts(condition))
         return _all_of([read for read in parts if read is not None])
 
-    def _comparing(self, select: Any) -> Sequence[Any]:
+    def _comparing_joins(self, select: Any) -> Sequence[Any]:
         """Return the joins of which the right side needs no rows but those that satisfy ON."""
         joins = select.args.get("joins") or ()
         kinds = [((join.method or "").upper(), (join.side or "").upper()) for join in joins]
@@ -232,7 +232,7 @@ class _ConditionFinder:
             return ()
         return [join for join, (method, _) in zip(joins, kinds) if method in ("", "ASOF")]
 
-    def _implied(
+    def _implied_reads(
         self, join: Any, alias: str, names: Mapping[str, _Names], holds: Mapping[str, PushedRead]
     ) -> Iterator[PushedRead]:
         """Yield the bounds of the right side that follow from those of the tables before it.
@@ -254,7 +254,7 @@ class _ConditionFinder:
                     if column is not None and joined is not None:
                         yield _implied_bounds(column, sign, joined, read)
 
-    def _shifting(self, select: Any) -> set[str]:
+    def _shifting_tables(self, select: Any) -> set[str]:
         """Return the tables of which other rows would be joined if some were left out."""
         aliases: set[str] = set()
         joins = select.args.get("joins") or ()
@@ -285,11 +285,13 @@ class _ConditionFinder:
             one, two = (self._read_of(operand, names) for operand in (node.left, node.right))
             return None if one is None or two is None else one.either(two)
         if isinstance(node, exp.Between):
-            low = self._compared("GTE", node.this, node.args["low"], names)
-            high = self._compared("LTE", node.this, node.args["high"], names)
+            low = self._comparison_bounds("GTE", node.this, node.args["low"], names)
+            high = self._comparison_bounds("LTE", node.this, node.args["high"], names)
             return (low or EVERYTHING).both(high or EVERYTHING)
         if isinstance(node, exp.In) and node.expressions and not node.args.get("query"):
-            parts = [self._compared("EQ", node.this, value, names) for value in node.expressions]
+            parts = [
+                self._comparison_bounds("EQ", node.this, value, names) for value in node.expressions
+            ]
             reads = [read for read in parts if read is not None]
             return _any_of(reads) if len(reads) == len(parts) else None
         if isinstance(node, exp.In) and node.args.get("field") is not None:
@@ -298,8 +300,10 @@ class _ConditionFinder:
             return self._in_event(node.expression, node.this, names)
         operator = type(node).__name__
         if operator in _MIRRORED:
-            read = self._compared(operator, node.left, node.right, names)
-            return read or self._compared(_MIRRORED[operator], node.right, node.left, names)
+            read = self._comparison_bounds(operator, node.left, node.right, names)
+            return read or self._comparison_bounds(
+                _MIRRORED[operator], node.right, node.left, names
+            )
         return None
 
     def _in_event(self, name: Any, listed: Any, names: _Names) -> PushedRead | None:
@@ -310,7 +314,9 @@ class _ConditionFinder:
         value = self._constant(name)
         return PushedRead(events=frozenset([value])) if isinstance(value, str) else None
 
-    def _compared(self, operator: str, side: Any, other: Any, names: _Names) -> PushedRead | None:
+    def _comparison_bounds(
+        self, operator: str, side: Any, other: Any, names: _Names
+    ) -> PushedRead | None:
         column = names.column(side)
         if column is None or column.kind == "event":
             return None

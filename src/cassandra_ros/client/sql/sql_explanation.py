@@ -86,7 +86,7 @@ def explain_source(source: TopicSource) -> TopicReadReport:
         robots=None if pushed.nodes is None else tuple(sorted(pushed.nodes)),
         runs=None if pushed.runs is None else tuple(sorted(pushed.runs)),
         events=None if pushed.events is None else tuple(sorted(pushed.events)),
-        condition=_shown(pushed.condition),
+        condition=_condition_text(pushed.condition),
         messages=source.messages,
         blocks=sum(chooser.blocks for chooser in choosers),
         skipped=sum(chooser.skipped for chooser in choosers),
@@ -102,12 +102,12 @@ def field_names(name: str, kind: object) -> Iterator[str]:
         yield from field_names(f"{name}.{field.name}", field.type)
 
 
-def _shown(condition: Expression | None) -> str:
+def _condition_text(condition: Expression | None) -> str:
     if condition is None:
         return ""
     if isinstance(condition, (All, Either)):
         word = " AND " if isinstance(condition, All) else " OR "
-        return f"({word.join(_shown(item) for item in condition.items)})"
+        return f"({word.join(_condition_text(item) for item in condition.items)})"
     if isinstance(condition, Compare):
         return f"{condition.operand.text} {condition.operator} {condition.value.text}"
     if isinstance(condition, OneOf):

@@ -92,7 +92,7 @@ class SqlResult:
         self._pushdown = pushdown
         self._watch = watch
         self._statement = SqlStatement(text, params)
-        run = self._bound()
+        run = self._bind_run()
         self._ready: _Run | None = run
         """The run that checked the statement, for the first method that is called."""
         weakref.finalize(self, run.close)
@@ -102,7 +102,7 @@ class SqlResult:
 
     def batches(self) -> Iterator[pyarrow.RecordBatch]:
         """Yield the rows as record batches of pyarrow, while they are computed; at least one."""
-        with self._opened() as run:
+        with self._open_run() as run:
             reader = run.wait(lambda: run.relation.to_arrow_reader(BATCH_ROWS))
             batch = run.wait(lambda: next(reader, None))
             if batch is None:
@@ -121,7 +121,7 @@ class SqlResult:
 
     def arrow(self) -> pyarrow.Table:
         """Return all rows as a pyarrow.Table."""
-        with self._opened() as run:
+        with self._open_run() as run:
             table: pyarrow.Table = run.wait(lambda: run.relation.to_arrow_table())
             return table
 
@@ -132,7 +132,7 @@ class SqlResult:
             MissingDependency: pandas is not installed.
         """
         optional_module("pandas", "df")
-        with self._opened() as run:
+        with self._open_run() as run:
             return run.wait(lambda: run.relation.df())
 
     def explain(self) -> SqlExplanation:
@@ -140,7 +140,7 @@ class SqlResult:
 
         The text shows columns, times, robots, runs and conditions that bounded what was read.
         """
-        with self._opened() as run:
+        with self._open_run() as run:
             plan = run.wait(run.relation.explain)
             reader = run.wait(lambda: run.relation.to_arrow_reader(BATCH_ROWS))
             returned = 0
@@ -156,14 +156,14 @@ class SqlResult:
 
     def __repr__(self) -> str:
         rows = self._first()
-        lines = [" | ".join(map(_shown, row)) for row in (self.columns, *rows[:MOST_ROWS])]
+        lines = [" | ".join(map(_value_text, row)) for row in (self.columns, *rows[:MOST_ROWS])]
         if len(rows) > MOST_ROWS:
             lines.append("…")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         rows = self._first()
-        shown = [list(map(_shown, row)) for row in rows[:MOST_ROWS]]
+        shown = [list(map(_value_text, row)) for row in rows[:MOST_ROWS]]
         return html_table(self.columns, shown, of=len(rows))
 
     def _first(self) -> list[tuple[Any, ...]]:
@@ -175,8 +175,8 @@ class SqlResult:
             rows.close()  # type: ignore[attr-defined]
 
     @contextmanager
-    def _opened(self) -> Iterator[_Run]:
-        run, self._ready = self._ready or self._bound(), None
+    def _open_run(self) -> Iterator[_Run]:
+        run, self._ready = self._ready or self._bind_run(), None
         try:
             yield run
         finally:
@@ -184,7 +184,7 @@ class SqlResult:
             self.hints = warn_of(hint for source in sources for hint in source.hints)
             run.close()
 
-    def _bound(self) -> _Run:
+    def _bind_run(self) -> _Run:
         run = _Run(self._catalog, self._statement, self._whose, self._make_database(), self._watch)
         try:
             run.bind(self._pushdown)
@@ -194,7 +194,7 @@ class SqlResult:
         return run
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     return iso_time(to_ns(value)) if is_time(value) else "NULL" if value is None else str(value)
 
 
@@ -332,9 +332,9 @@ class _Run:
             duckdb = self._database.duckdb
             if not isinstance(exc, (duckdb.Error, OSError)):
                 raise
-            raise self._translated(exc) from exc
+            raise self._translate_error(exc) from exc
 
-    def _translated(self, exc: Exception) -> CassandraRosError:
+    def _translate_error(self, exc: Exception) -> CassandraRosError:
         duckdb, text = self._database.duckdb, str(exc)
         if isinstance(exc, duckdb.OutOfMemoryException) or "Out of Memory" in text:
             return AnswerTooLarge(

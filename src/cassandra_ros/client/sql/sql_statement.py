@@ -72,12 +72,12 @@ class SqlStatement:
         if len(text) > MAX_TEXT:
             raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_TEXT} characters")
         self._glot = load_parser()
-        self.text = self._numbered(text)
+        self.text = self._number_parameters(text)
         self.params = _params(text, params)
-        self.tree: Any = self._parsed()
+        self.tree: Any = self._parse_tree()
         self._check()
 
-    def _numbered(self, text: str) -> str:
+    def _number_parameters(self, text: str) -> str:
         """Return the text with $1, $2, … for each ?, so that the tree tells them apart.
 
         The name map gets quotes, without which sqlglot takes it for the type.
@@ -99,7 +99,7 @@ class SqlStatement:
             text = f"{text[: token.start]}{changed}{text[token.end + 1 :]}"
         return text
 
-    def _parsed(self) -> Any:
+    def _parse_tree(self) -> Any:
         glot = self._glot
         try:
             trees = [tree for tree in glot.parse(self.text, read="duckdb") if tree is not None]

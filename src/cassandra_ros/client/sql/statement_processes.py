@@ -255,7 +255,7 @@ class StatementProcesses:
             AnswerTooLarge: It needs more time, memory or room on disk than it may use.
             StoreUnavailable: No process can be started, or the program ends.
         """
-        watch = _bounded(watch, min(seconds, MOST_SEC))
+        watch = _watch_with_limit(watch, min(seconds, MOST_SEC))
         while not self._turns.acquire(timeout=_LOOK_SEC):
             watch()
         try:
@@ -318,7 +318,7 @@ def _values(statement: Statement) -> dict[str, object]:
     return {**values, "nodes": nodes, "writers": writers and sorted(writers)}
 
 
-def _bounded(watch: Watch, seconds: float) -> Watch:
+def _watch_with_limit(watch: Watch, seconds: float) -> Watch:
     """Return a watch that also ends what takes longer than this."""
     ends = time.monotonic() + seconds
 

@@ -82,7 +82,7 @@ class BagIndex:
             self._read_chunk_infos()
         except BagUnindexed as exc:
             what = f"is cut short: its index ends at byte {os.fstat(file.fileno()).st_size}"
-            raise _unindexed(path, what) from exc
+            raise _unindexed_error(path, what) from exc
         self._sort_chunks(place.data_end)
         self.message_count = sum(self.counts.values())
         self.start_ns = min(self._column(1), default=0)
@@ -215,10 +215,10 @@ def _find_index(file: BinaryIO, name: str) -> IndexPlace:
         for key in (b"index_pos", b"conn_count", b"chunk_count")
     )
     if index_pos == 0:
-        raise _unindexed(name, "has no index: it is still being recorded, or was not closed")
+        raise _unindexed_error(name, "has no index: it is still being recorded, or was not closed")
     if index_pos > file_bytes:
         what = f"is cut short: its index should begin at byte {index_pos}, it has {file_bytes}"
-        raise _unindexed(name, what)
+        raise _unindexed_error(name, what)
     if index_pos < record.data_pos + record.data_bytes:
         what = f"its header places the index inside itself; repair it with: rosbag reindex {name}"
         raise BagError(f"{name} is damaged: {what}")
@@ -239,7 +239,7 @@ def read_start(file: BinaryIO, name: str) -> bagformat.BagRecord:
     try:
         record = bagformat.read_record(file, bagformat.OP_FILE_HEADER, where)
     except BagUnindexed as exc:
-        raise _unindexed(name, f"is cut short after {file_bytes} bytes") from exc
+        raise _unindexed_error(name, f"is cut short after {file_bytes} bytes") from exc
     encryptor = record.fields.get(b"encryptor", b"")
     if encryptor not in (b"", b"rosbag/NoEncryptor"):
         raise BagError(
@@ -263,7 +263,7 @@ def _check_magic(magic: bytes, file_bytes: int, name: str) -> None:
     raise BagError(f"{name} is not a bag of format 2.0: it does not begin with '#ROSBAG V2.0'")
 
 
-def _unindexed(name: str, what: str) -> BagUnindexed:
+def _unindexed_error(name: str, what: str) -> BagUnindexed:
     return BagUnindexed(
         f"{name} {what}; with --salvage (salvage=True) what it holds is read; or repair it with: "
         f"rosbag reindex {name}"

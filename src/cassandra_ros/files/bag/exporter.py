@@ -124,7 +124,7 @@ def export_bag(
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
     reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, run), event)
     early = latched and (start is not None or event is not None)
-    rows = _found(catalog, names, reads, where, early)
+    rows = _find_rows(catalog, names, reads, where, early)
     report = ExportReport(os.fspath(path))
     first = list(islice(rows, 1))
     if not (first or empty):
@@ -149,7 +149,7 @@ def export_bag(
     return report
 
 
-def _found(
+def _find_rows(
     catalog: Catalog,
     topics: Sequence[str] | None,
     reads: Reads,

@@ -85,7 +85,7 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
                 content, messages = reader.chunk_content(chunk)
                 if chunk not in reader.salvaged.damaged:
                     parts = _parts(content, messages, rank)
-                    sent.update(_sent(reader.chunk_publish_times(chunk)))
+                    sent.update(_publish_time_bytes(reader.chunk_publish_times(chunk)))
             except BagTooLarge:
                 raise  # nothing of the file is stored yet
             except BagError:
@@ -101,7 +101,7 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
     return BagContent(digest.hexdigest(), sizes)
 
 
-def _sent(times: PublishTimes | None) -> bytes:
+def _publish_time_bytes(times: PublishTimes | None) -> bytes:
     """Return the hash input for publish times: those that are not 0, with their positions."""
     if times is None:
         return b""

@@ -220,17 +220,17 @@ def _mean(sample: TopicSample, parts: Iterable[tuple[bytes, int]]) -> FormatSize
         plain += len(data)
         waiting[piece] += data
         while len(waiting[piece]) >= piece:
-            disk += _compressed(bytes(waiting[piece][:piece]), piece)
+            disk += _compressed_size(bytes(waiting[piece][:piece]), piece)
             del waiting[piece][:piece]
     for piece, rest in waiting.items():
-        disk += _compressed(bytes(rest), piece) if rest else 0
+        disk += _compressed_size(bytes(rest), piece) if rest else 0
     if not sample.wires:
         return None
     scale = sample.message_bytes * len(sample.wires) / sample.nbytes if sample.nbytes else 1.0
     return FormatSize(plain / len(sample.wires) * scale, disk / len(sample.wires) * scale)
 
 
-def _compressed(data: bytes, piece: int) -> int:
+def _compressed_size(data: bytes, piece: int) -> int:
     size = len(lz4.block.compress(data, store_size=False))
     worth = 1.1 if piece == _BLOB_PIECE else 1.0  # min_compress_ratio of store/tables/schema.py
     return _PIECE_BYTES + (size if size * worth < len(data) else len(data))

@@ -362,7 +362,7 @@ class Bag:
         ends = start_time or None, _within_ros(end_time or None)
         names, passing = self._topics(topics), None
         if connection_filter is not None:
-            names, passing = self._filtered(names, connection_filter)
+            names, passing = self._filter_connections(names, connection_filter)
         if not names:
             return iter(())
         read = partial(
@@ -373,9 +373,9 @@ class Bag:
             received=True,
         )
         rows = in_bag_order(read, *ends)
-        return self._given(rows, passing, raw, return_connection_header)
+        return self._messages_of(rows, passing, raw, return_connection_header)
 
-    def _given(
+    def _messages_of(
         self,
         rows: Iterator[StoredRow],
         passing: AbstractSet[tuple[str, int]] | None,
@@ -404,7 +404,7 @@ class Bag:
         selected = {_canonical(check_topic(name)) for name in wanted}
         return [t for t in stored if not selected.isdisjoint((t.name, _canonical(t.name)))]
 
-    def _filtered(
+    def _filter_connections(
         self, topics: Sequence[CassandraTopic], test: ConnectionFilter
     ) -> tuple[list[CassandraTopic], set[tuple[str, int]]]:
         """Apply a filter to the connections of topics.
@@ -417,7 +417,7 @@ class Bag:
         passing = {
             (table, conn)
             for table, conn, connection in self._connections(topics)
-            if test(*_described(0, named[table], connection)[1:])
+            if test(*_describe(0, named[table], connection)[1:])
         }
         tables = {table for table, _ in passing}
         return [t for t in topics if any(table.name in tables for table in t.tables)], passing
@@ -440,15 +440,17 @@ class Bag:
             topics, connection_filter: As in read_messages.
         """
         self.flush()
-        held = sorted(self._held(self._topics(topics)), key=lambda pair: pair[1].number)
+        held = sorted(self._held_connections(self._topics(topics)), key=lambda pair: pair[1].number)
         numbers = [connection.number for _, connection in held]
         are_unique = len(set(numbers)) == len(numbers) and min(numbers, default=0) >= 0
         for place, (topic, connection) in enumerate(held):
-            one = _described(connection.number if are_unique else place, topic, connection)
+            one = _describe(connection.number if are_unique else place, topic, connection)
             if connection_filter is None or connection_filter(*one[1:]):
                 yield one
 
-    def _held(self, topics: Iterable[CassandraTopic]) -> Iterator[tuple[str, Connection]]:
+    def _held_connections(
+        self, topics: Iterable[CassandraTopic]
+    ) -> Iterator[tuple[str, Connection]]:
         """Yield the connections that have messages in the bag, with the names of their topics."""
         for topic in topics:
             missing = {
@@ -750,7 +752,7 @@ def _connection(topic: str, kind: str, md5sum: str, cls: Any) -> Connection:
     return live_connection(check_new_topic(topic), header)
 
 
-def _described(number: int, topic: str, connection: Connection) -> BagConnection:
+def _describe(number: int, topic: str, connection: Connection) -> BagConnection:
     """Return a connection as rosbag describes it, under the present name of its topic."""
     facts = connection.type, connection.md5sum, connection.definition_text
     return BagConnection(number, topic, *facts, dict(connection.fields))

@@ -47,8 +47,8 @@ class Summary:
             rows += [("start:", _moment(start)), ("end:", _moment(end))]
         rows.append(("size:", scaled(self.size / 1024, 1024, ("KB", "MB", "GB", "TB", "PB"))))
         rows.append(("messages:", str(sum(topic.messages for topic in self.topics))))
-        rows += _headed("types:", self._types())
-        rows += _headed("topics:", self._topics())
+        rows += _head_lines("types:", self._types())
+        rows += _head_lines("topics:", self._topics())
         width = max(len(head) for head, _ in rows)
         return "\n".join(f"{head:<{width}} {value}" for head, value in rows).rstrip()
 
@@ -110,7 +110,7 @@ def _facts(topic: TopicSummary) -> dict[str, object]:
     return facts
 
 
-def _headed(head: str, lines: Sequence[str]) -> list[tuple[str, str]]:
+def _head_lines(head: str, lines: Sequence[str]) -> list[tuple[str, str]]:
     return [(head if n == 0 else "", line) for n, line in enumerate(lines)]
 
 

@@ -158,12 +158,12 @@ class SegmentReader:
                 totals = self._totals(record)
                 if totals is not None:
                     if damage is not None:
-                        yield self._told(damage)
+                        yield self._damage_part(damage)
                     damage = None
                     yield SegmentPart(totals=totals)
             elif record.kind == mcap_records.CHUNK_KIND:
                 if damage is not None:
-                    yield self._told(damage)
+                    yield self._damage_part(damage)
                 damage, whole = None, self._messages(record)
                 if whole is None:
                     damage = _SegmentDamage(record.start - RECORD.size, to=record.stop)
@@ -172,7 +172,7 @@ class SegmentReader:
             elif record.kind == mcap_records.END_KIND:
                 at = self.nbytes
         if damage is not None:
-            yield self._told(damage)
+            yield self._damage_part(damage)
         if at < self.nbytes:
             why = f"{self.path} is cut short at byte {at} of {self.nbytes}"
             yield SegmentPart(damage=why, missing=[Missing("", 0, 0, 0)])
@@ -182,7 +182,7 @@ class SegmentReader:
         connection = self._connection(listed.channel)
         return [t for other, t, _, _ in whole.messages if other is connection] == list(listed.times)
 
-    def _told(self, damage: _SegmentDamage) -> SegmentPart:
+    def _damage_part(self, damage: _SegmentDamage) -> SegmentPart:
         totals: defaultdict[str, TopicTotal] = defaultdict(TopicTotal)
         for listed in damage.indexes:
             connection = self._connection(listed.channel)

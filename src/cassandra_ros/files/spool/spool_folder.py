@@ -157,7 +157,7 @@ class SpoolFolder:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             own_folder(self.path)
             hidden.mkdir(mode=0o700)
-            lock = _locked(hidden)
+            lock = _lock_folder(hidden)
             # Under its name only when it is locked: else others would take it for left.
             hidden.rename(path)
         except OSError as exc:
@@ -173,7 +173,7 @@ class SpoolFolder:
         for path in self.runs():
             lock = None
             with suppress(OSError):
-                lock = _locked(path)
+                lock = _lock_folder(path)
             if lock is not None:
                 yield RunFolder(path, lock)
 
@@ -208,7 +208,7 @@ def run_files(path: Path) -> list[Path]:
     return sorted(files, key=lambda file: int(file.stem))
 
 
-def _locked(path: Path) -> int | None:
+def _lock_folder(path: Path) -> int | None:
     """Lock a folder; return the file descriptor of the lock, None if another process holds it."""
     try:
         descriptor = lock_own(path / _LOCK)

@@ -69,7 +69,7 @@ def first_live(
         matched = live[longest.other : longest.other + longest.pairs]
         if sure or (longest.pairs >= CERTAIN and _all_differ(matched)):
             return longest.place
-    return _scattered(stored, live, sure)
+    return _first_common(stored, live, sure)
 
 
 class Live:
@@ -186,7 +186,7 @@ def _all_differ(marks: Sequence[MessageFingerprint]) -> bool:
     return len({mark.digest for mark in marks}) == len(marks)
 
 
-def _scattered(
+def _first_common(
     stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint], sure: bool
 ) -> int | None:
     """Find the first common message if some are missing, by a filter or a full queue."""

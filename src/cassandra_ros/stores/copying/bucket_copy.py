@@ -117,7 +117,7 @@ class PieceCopy:
         here = self._pair.here
         seen = here.cassandra.server_time_us()
         before = self._present(piece)
-        confirmed_books = {} if again else self._known(before, books)
+        confirmed_books = {} if again else self._piece_books(before, books)
         rows = [row for row in before if not self._is_confirmed(row, confirmed_books)]
         count = CopyCount()
         if not rows:
@@ -143,7 +143,7 @@ class PieceCopy:
         rows = (row for bucket in buckets for row in directory.find(name, piece.node, bucket))
         return [row for row in rows if (row.bucket, row.writer) in keys]
 
-    def _known(self, rows: Sequence[BucketRow], books: Books) -> Books:
+    def _piece_books(self, rows: Sequence[BucketRow], books: Books) -> Books:
         """Return the entries of the books that tell of the same messages in the same table."""
         piece_books: dict[_Entry, CopiedBucket] = {}
         for row in rows:

@@ -58,11 +58,11 @@ def copy_headers(pairs: Collection[TablePair]) -> None:
 def copy_metadata(pair: TablePair) -> None:
     """Add keys of the user's own, and the comment, where the topic there has none."""
     mine, theirs = pair.source.metadata, pair.target.metadata
-    if _merged(mine, theirs) != theirs:
-        pair.there.schema.change_topic(pair.topic, lambda other: _merged(mine, other))
+    if _merge_metadata(mine, theirs) != theirs:
+        pair.there.schema.change_topic(pair.topic, lambda other: _merge_metadata(mine, other))
 
 
-def _merged(mine: TopicMetadata, theirs: TopicMetadata) -> TopicMetadata:
+def _merge_metadata(mine: TopicMetadata, theirs: TopicMetadata) -> TopicMetadata:
     user = {**mine.user, **theirs.user}
     return theirs.with_(user=user, comment=theirs.comment or mine.comment)
 

@@ -75,7 +75,7 @@ class ConvertedCopy:
         high = min((bucket + 1) * length - 1, bucket_part.ends[1][0], LAST_NS)
         read = Read(TimeRange(low, high), Whose((bucket_part.node,), bucket_part.writers))
         there = {(row.t, row.seq) for row in self._bare(read)}
-        rows = self._counted(bucket, self._choose(read))
+        rows = self._count_rows(bucket, self._choose(read))
         self._write(row for row in rows if (row.t, row.seq) not in there)
 
     def copy_names(self, whose: Whose) -> None:
@@ -88,7 +88,7 @@ class ConvertedCopy:
     def _every(self, read: Read) -> Iterator[StoredRow]:
         return self._pair.here.rows.read([self._pair.source], read)
 
-    def _counted(self, bucket: int, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+    def _count_rows(self, bucket: int, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
         for row in rows:
             key = bucket, writer_of(row.seq)
             count, nbytes = self.taken.get(key, (0, 0))

@@ -187,7 +187,7 @@ class Follower:
 
     def _pass(self, begun: float) -> bool:
         """Copy for some seconds; return whether there is more to copy."""
-        replicator = self._connected()
+        replicator = self._connect()
         if self._paused.is_set():
             self._note(PAUSED, replicator, None, 0.0)
             return False
@@ -222,7 +222,7 @@ class Follower:
         self._quota.keep(self._stores[0].catalog)
         return self._quota.report
 
-    def _connected(self) -> Replicator:
+    def _connect(self) -> Replicator:
         if self._replicator is None:
             self._close()
             for make in (self._open_source, self._open_target):

@@ -88,7 +88,7 @@ class NamedCopy:
         pair, count = self._pair, CopyCount()
         seen = pair.here.cassandra.server_time_us()
         rows = named_rows(pair.source, self._selection)
-        books = {} if again else self._known()
+        books = {} if again else self._books_by_writer()
         if self._selection.deletions:
             count.deleted = delete_missing_names(pair, frozenset(books)) if books else 0
         late = [row for row in rows if row.written_us > _since(books.get(row.writer))]
@@ -105,7 +105,7 @@ class NamedCopy:
             self._note(rows, seen)
         return count
 
-    def _known(self) -> dict[int, CopiedBucket]:
+    def _books_by_writer(self) -> dict[int, CopiedBucket]:
         """Return what the books say, by writer; of several nodes the one that was seen first."""
         slots = self._books.slots(self._id, self._pair.source.name)
         book_of: dict[int, CopiedBucket] = {}

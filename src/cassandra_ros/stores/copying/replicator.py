@@ -391,7 +391,7 @@ class Replicator:
             entry = CopiedBucket(*place, beat, 0, final, rule, *numbers)
             self._books.put_bucket(self._id, source.name, entry)
 
-    def _sent(self, rule: CopyRule) -> Callable[[int], None]:
+    def _throttle_of(self, rule: CopyRule) -> Callable[[int], None]:
         """Return the function that waits until bytes of a rule's topics may be sent."""
         if rule.rate is None:
             return self._bandwidth.sent
@@ -445,7 +445,7 @@ class Replicator:
             if not pair.source.named:
                 self._copy_pieces(work, result, tell, again, ends)
             elif not self.paused.is_set():
-                sent = self._sent(work.rule)
+                sent = self._throttle_of(work.rule)
                 named = NamedCopy(pair, self._books, self._id, work.selection, sent)
                 result.add(named.run(again=again))
                 tell.add(work.messages)
@@ -460,7 +460,7 @@ class Replicator:
     def _copy_pieces(
         self, work: _Work, result: TopicCopy, tell: _Tell, again: bool, ends: float
     ) -> None:
-        sent, choose = self._sent(work.rule), self._choose(work)
+        sent, choose = self._throttle_of(work.rule), self._choose(work)
         copy = PieceCopy(
             work.pair, self._books, self._id, work.selection, sent, choose, work.thinning_of
         )

@@ -158,7 +158,7 @@ class FleetAnswer:
             CassandraRosError: The error, if all stores answer.
         """
         before = len(self.missing)
-        self.catalogs = self.each(self.catalogs, _renewed)
+        self.catalogs = self.each(self.catalogs, _renew_catalog)
         if len(self.missing) == before:
             raise exc
         if not self.catalogs:
@@ -166,10 +166,10 @@ class FleetAnswer:
 
 
 def _catalog(store: FleetStore) -> Catalog:
-    return _renewed(store.catalog())
+    return _renew_catalog(store.catalog())
 
 
-def _renewed(catalog: Catalog) -> Catalog:
+def _renew_catalog(catalog: Catalog) -> Catalog:
     """Read anew which topics a store has, so that an unknown field or topic is not a new one."""
     catalog.keyspace.schema.tables(fresh=True)
     return catalog

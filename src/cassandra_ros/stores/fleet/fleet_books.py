@@ -157,7 +157,7 @@ class FleetBooks:
         """Add the buckets of a slot and robot of a table."""
         copy = buckets.copy
         rows = _entries_of(catalog, table, place)
-        sure = _confirmed(catalog, copy, table, place, rows)
+        sure = _confirmed_beats(catalog, copy, table, place, rows)
         catalog_of = {copy.store: self._stores.catalogs[copy.store]} if sure else {}
         rows_of = self._stores.each(catalog_of, lambda c: _entries_of(c, copy.table, place))
         theirs = [row for answer in rows_of.values() for row in answer]
@@ -300,7 +300,7 @@ def _entries_of(catalog: Catalog, table: str, place: tuple[int, str]) -> list[Bu
     return [row for answer in requests for row in answer()]
 
 
-def _confirmed(
+def _confirmed_beats(
     catalog: Catalog, copy: _Copy, table: str, place: tuple[int, str], rows: Sequence[BucketRow]
 ) -> dict[tuple[int, int], datetime]:
     """Return the heartbeats that the books noted, by bucket and writer, of what they confirm."""

@@ -123,7 +123,7 @@ class FleetStore:
             ConnectionFailed: It does not answer in time, it refuses the login, or the fleet is
                 closed.
         """
-        opening = self._opened()
+        opening = self._begin_opening()
         try:
             return opening.result(self._answer_sec).catalog
         except NotDone:
@@ -132,7 +132,7 @@ class FleetStore:
                 f"{self._place.port}"
             ) from None
 
-    def _opened(self) -> Future[RosCassandra]:
+    def _begin_opening(self) -> Future[RosCassandra]:
         with self._mutex:
             if self.closed:
                 raise ConnectionFailed("the fleet is closed; make another Fleet")

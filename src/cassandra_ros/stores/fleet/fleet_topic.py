@@ -45,7 +45,7 @@ class FleetTopic:
         self.name = next(iter(topics.values())).name
         self._topics = {name: topics[name] for name in tables_by_store}
         if not self._topics:
-            raise self._lost()
+            raise self._no_store_error()
         self.tables = [table for tables in tables_by_store.values() for table in tables]
         self.key_format = _key_format(self.name, tables_by_store)
 
@@ -77,10 +77,10 @@ class FleetTopic:
 
         reads = self._answer.each({name: name for name in self._topics}, ask)
         if not reads:
-            raise self._lost()
+            raise self._no_store_error()
         return next(iter(reads.values()))
 
-    def _lost(self) -> StoreUnavailable:
+    def _no_store_error(self) -> StoreUnavailable:
         missing = told(self._answer.missing)
         return StoreUnavailable(f"no store with topic {self.name} answers any more: {missing}")
 

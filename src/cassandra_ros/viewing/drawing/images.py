@@ -87,7 +87,7 @@ def picture_of(row: StoredRow, width: int | None = None) -> Image:
         MissingDependency: Pillow is not installed.
     """
     msg = _message(row)
-    picture = _drawn(row, msg) if row.type == IMAGE else _decompressed(row, msg, width)
+    picture = _draw(row, msg) if row.type == IMAGE else _decompress(row, msg, width)
     if width is not None:
         picture.thumbnail((width, max(1, picture.height)))
     return picture
@@ -103,7 +103,7 @@ def jpeg_of(row: StoredRow, width: int | None = None, quality: int = 85) -> byte
     """
     msg = _message(row)
     if row.type == COMPRESSED and bytes(msg.data[:2]) == _JPEG_START:
-        stored_width = _opened(row, bytes(msg.data)).width
+        stored_width = _open_image(row, bytes(msg.data)).width
         if width is None or stored_width <= width:
             return bytes(msg.data)
     picture, jpeg = picture_of(row, width), io.BytesIO()
@@ -120,7 +120,7 @@ def _message(row: StoredRow) -> Any:
     return row.message()
 
 
-def _drawn(row: StoredRow, msg: Any) -> Image:
+def _draw(row: StoredRow, msg: Any) -> Image:
     layout = _layout_of(row, str(msg.encoding))
     samples = _samples(row, msg, layout)
     if layout.kind in _YUV:
@@ -227,12 +227,12 @@ def _picture(values: np.ndarray[Any, Any]) -> Image:
     return picture
 
 
-def _decompressed(row: StoredRow, msg: Any, width: int | None) -> Image:
+def _decompress(row: StoredRow, msg: Any, width: int | None) -> Image:
     form, data = str(msg.format), bytes(msg.data)
     parameters = None
     if "compressedDepth" in form and len(data) > _DEPTH_HEADER.size:
         parameters, data = _DEPTH_HEADER.unpack_from(data), data[_DEPTH_HEADER.size :]
-    picture = _opened(row, data)
+    picture = _open_image(row, data)
     try:
         if picture.format == "JPEG" and width is not None:
             picture.draft(None, (width, 1))  # decodes at a reduced size
@@ -257,7 +257,7 @@ def _depth_of_inverse(
         return np.where(values == 0, np.nan, scale / (values - np.float64(offset)))
 
 
-def _opened(row: StoredRow, data: bytes) -> Image:
+def _open_image(row: StoredRow, data: bytes) -> Image:
     """Open a compressed image without decoding its pixels."""
     image = optional_module("PIL.Image", "a picture")
     try:

@@ -134,8 +134,8 @@ def draw_xy(
     for n, curve in enumerate(curves):
         _draw_curve(panel, curve, _COLOURS[n % len(_COLOURS)])
     x, y = curves[0].columns
-    panel.set_xlabel(_named(x))
-    panel.set_ylabel(_named(y))
+    panel.set_xlabel(_column_label(x))
+    panel.set_ylabel(_column_label(y))
     panel.xaxis.set_major_formatter(_TICK)
     panel.yaxis.set_major_formatter(_TICK)
     panel.grid(color=_GRID, linewidth=0.6)
@@ -164,7 +164,7 @@ def _draw_curve(panel: Axes, curve: Curve, colour: str) -> None:
         panel.add_collection(collections.PolyCollection(boxes, color=colour, alpha=0.3))
 
 
-def _named(column: Column) -> str:
+def _column_label(column: Column) -> str:
     return _plain(column.name) + (f" [{column.unit}]" if column.unit else "")
 
 

@@ -80,7 +80,7 @@ class LogOddsGrid:
         passed = np.setdiff1d(flat[~hit], struck)
         change = np.zeros(height * width, np.float32)
         change[passed] = self._miss
-        for crossed in _crossed(begin, np.union1d(struck, passed), width):
+        for crossed in _crossed_cells(begin, np.union1d(struck, passed), width):
             change[crossed] = self._miss
         change[struck] = self._hit
         (column, row) = (int(n) for n in low - self._low)
@@ -135,7 +135,7 @@ class LogOddsGrid:
         return self._odds[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy(), (x, y)
 
 
-def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[NDArray[np.int32]]:
+def _crossed_cells(begin: Cells, ends: Cells, width: int) -> Iterator[NDArray[np.int32]]:
     """Yield the flat indices of the cells on the lines from one cell to others, without the others.
 
     As Bresenham's lines they have one cell in each column, or in each row if they are steep.

@@ -90,7 +90,7 @@ class Measurements:
         message_counts = _inside(counts[self.topic], scale, window)
         if message_counts.any():
             for name in names:
-                covered = _covered(counts[name] > 0, gap_ns / scale.step)
+                covered = _covered_cells(counts[name] > 0, gap_ns / scale.step)
                 shares[name] = float(message_counts[covered].sum() / message_counts.sum())
         return shares
 
@@ -102,7 +102,7 @@ def _inside(counts: Floats, scale: Scale, window: Scale) -> Floats:
     return np.where((cells >= first) & (cells <= last), counts, 0.0)
 
 
-def _covered(filled: Bools, gap: float) -> Bools:
+def _covered_cells(filled: Bools, gap: float) -> Bools:
     """Return a mask of the cells between two filled ones at most a gap apart, both included.
 
     Args:
