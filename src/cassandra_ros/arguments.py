@@ -240,12 +240,12 @@ def check_pairs(
     name: str, pairs: Iterable[tuple[str, _Value]], remedy: str = "give it once"
 ) -> dict[str, _Value]:
     """Return pairs as a mapping, or raise InvalidOption if two of them have the same key."""
-    found: dict[str, _Value] = {}
+    values_by_key: dict[str, _Value] = {}
     for key, value in pairs:
-        if key in found:
+        if key in values_by_key:
             raise InvalidOption(f"{name}: {key!r:.80} is given twice: {remedy}")
-        found[key] = value
-    return found
+        values_by_key[key] = value
+    return values_by_key
 
 
 def check_limit(limit: Any) -> int | None:
@@ -325,9 +325,9 @@ def _exact_float(text: str) -> float:
 
 def check_event_values(values: Any) -> dict[str, Any]:
     """Return the values of an event if JSON can store them without change, or raise InvalidName."""
-    found = _json_keys("values", values, ())
-    check_text("values", json.dumps(found), MAX_VALUES_BYTES, InvalidName, "smaller values")
-    return found
+    json_values = _json_keys("values", values, ())
+    check_text("values", json.dumps(json_values), MAX_VALUES_BYTES, InvalidName, "smaller values")
+    return json_values
 
 
 def check_user_keys(keys: Any) -> dict[str, Any]:

@@ -107,7 +107,7 @@ def decode_cursor(text: str) -> Position:
     try:
         raw = base64.b64decode(text.encode("ascii"), altchars=b"-_", validate=True)
         parts = json.loads(raw.decode("utf-8", "surrogateescape"))
-        if [type(part) for part in parts] not in (_KINDS, [*_KINDS, str]):
+        if [type(value) for value in parts] not in (_KINDS, [*_KINDS, str]):
             raise TypeError(parts)
     except (TypeError, ValueError, RecursionError) as exc:
         raise InvalidKey(f"{text[:80]!r} is not a cursor of this package") from exc

@@ -275,8 +275,8 @@ def _is_integer(value: object, least: int = 0, most: int = 2**63 - 1) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
 
 
-def _is_one_of(known: tuple[str, ...], value: object) -> bool:
-    return isinstance(value, str) and value in known
+def _is_one_of(choices: tuple[str, ...], value: object) -> bool:
+    return isinstance(value, str) and value in choices
 
 
 def _is_mapping(value: object) -> bool:
@@ -297,8 +297,8 @@ def _is_indexes(value: object) -> bool:
     )
 
 
-def _is_list(each: Callable[[object], bool], value: object) -> bool:
-    return isinstance(value, (list, tuple)) and all(map(each, value))
+def _is_list(is_member: Callable[[object], bool], value: object) -> bool:
+    return isinstance(value, (list, tuple)) and all(map(is_member, value))
 
 
 _REQUIRED = ("topic", "msg_type", "md5sum", "format", "bucket_ns")
