@@ -130,7 +130,7 @@ bench-copy: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_copy.py $(ARGS)
 
 bench-spark: setup
-	@$(PYTHON) -m pip install -q --disable-pip-version-check -r requirements-spark.txt
+	@$(PYTHON) -m pip install -q --disable-pip-version-check -r requirements/spark.txt
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_spark.py $(ARGS)
 
 bench-trees: setup

@@ -10,14 +10,15 @@ from setuptools import find_packages, setup
 
 ROOT = Path(__file__).resolve().parent
 SHARE = "share/cassandra_ros"
-SHARED_FOLDERS = ("config", "examples", "launch", "msg", "server", "srv", "web")
-SHARED_FILES = ("LICENSE", "package.xml", "requirements*.txt")
+SHARED_FOLDERS = ("config", "examples", "launch", "msg", "requirements", "server", "srv", "web")
+SHARED_FILES = ("LICENSE", "package.xml")
 NAME = "cassandra_ros"
 
 
 def pins(name):
-    """Return the requirements of a file of the checkout, without those that it includes."""
-    lines = (line.strip() for line in (ROOT / name).read_text(encoding="utf-8").splitlines())
+    """Return the pins of a file of requirements/, without those of the files that it includes."""
+    text = (ROOT / "requirements" / f"{name}.txt").read_text(encoding="utf-8")
+    lines = (line.strip() for line in text.splitlines())
     return [line for line in lines if line and not line.startswith(("#", "-r"))]
 
 
@@ -75,7 +76,7 @@ def wheel_command():
                 self.distribution.package_dir[f"{NAME}.{kind}"] = f"build/wheel/{NAME}/{kind}"
             # rosrun and roslaunch look for executable files beside package.xml.
             shutil.copytree(ROOT / "scripts", made / "scripts")
-            files = [path for pattern in SHARED_FILES for path in ROOT.glob(pattern)]
+            files = [ROOT / name for name in SHARED_FILES]
             folders = {SHARE: files, f"{SHARE}/scripts": list((made / "scripts").iterdir())}
             for path in folders[f"{SHARE}/scripts"]:
                 path.chmod(0o755)
@@ -103,8 +104,8 @@ def own_arguments():
     extras = ("java", "spark", "tables", "viewer")
     return {
         "cmdclass": commands,
-        "install_requires": pins("requirements.txt"),
-        "extras_require": {name: pins(f"requirements-{name}.txt") for name in extras},
+        "install_requires": pins("runtime"),
+        "extras_require": {name: pins(name) for name in extras},
         "python_requires": ">=3.8",
     }
 

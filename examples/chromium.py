@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A Chromium without a window, driven by a program: takes pictures of the viewer's pages.
 
-What it needs is Debian's chromium and chromium-driver, and selenium (requirements-dev.txt); make
+What it needs is Debian's chromium and chromium-driver, and selenium (requirements/dev.txt); make
 setup brings them. The project's own tests look at the pages by it, too.
 """
 

@@ -49,9 +49,9 @@ stop_in_workspace() {
   cat >&2 <<TEXT
 setup: this checkout lies in the catkin workspace $theirs;
 setup: a workspace of its own inside would give every program twice. Build it there, with the
-setup: Python of a venv that has what requirements.txt names:
+setup: Python of a venv that has what requirements/runtime.txt names:
   /usr/bin/python3 -m venv --system-site-packages ~/cassandra_ros_venv
-  ~/cassandra_ros_venv/bin/pip install -r $root/requirements.txt
+  ~/cassandra_ros_venv/bin/pip install -r $root/requirements/runtime.txt
   cd $theirs && catkin_make -DPYTHON_EXECUTABLE=\$HOME/cassandra_ros_venv/bin/python
 TEXT
   exit 1
@@ -118,7 +118,7 @@ has_java_and_maven() {
 }
 
 # Java without a display, and Maven for the jars, where the distribution has this Java: its updates
-# come with the others of the system. Else requirements-java.txt has both, but that Java cannot run
+# come with the others of the system. Else requirements/java.txt has both, but that Java cannot run
 # nodetool, which a Java of any version can.
 java_package_list() {
   if has_java_and_maven; then
@@ -171,10 +171,10 @@ die_of() {
 # --- 2: the venv -----------------------------------------------------------------------------
 
 make_venv() {
-  local stamp=$venv/.setup wanted files=(requirements-dev.txt)
-  has_java_and_maven || files+=(requirements-java.txt)
+  local stamp=$venv/.setup wanted files=(requirements/dev.txt)
+  has_java_and_maven || files+=(requirements/java.txt)
   # Its path belongs to it: the programs of a venv that was moved still name the old place.
-  wanted=$( { echo "$venv"; /usr/bin/python3 --version; echo "${files[*]}"; cat requirements*.txt; } | digest)
+  wanted=$( { echo "$venv"; /usr/bin/python3 --version; echo "${files[*]}"; cat requirements/*.txt; } | digest)
   if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && "$venv/bin/python" -S -c '' 2>/dev/null; then
     say "python: .venv has what ${files[*]} names, skipped"
     return
@@ -215,7 +215,7 @@ install_studio() {
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
-  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-java.txt requirements-spark.txt requirements-tables.txt requirements-viewer.txt web src scripts msg srv launch config server examples test)
+  local items=(CMakeLists.txt package.xml setup.py requirements web src scripts msg srv launch config server examples test)
   mkdir -p "$package"
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.

@@ -3,7 +3,7 @@
 """Run the tests under another Python: python test/other_python.py PYTHON [ARGS].
 
 PYTHON is a program, as python3.8: on the PATH, of pyenv, or its path. ARGS are pytest's; without
-them all tests run. A virtual environment with what requirements-dev.txt pins for that Python, and a
+them all tests run. A virtual environment with what requirements/dev.txt pins for that Python, and a
 catkin workspace whose programs start with it, are made in .ws and kept. ROS's Python packages are
 linked beside them where they are Python only; roslz4 and tf2_py are compiled for the distribution's
 Python, so that the tests that compare with them cannot run. At the end the reasons of all tests
@@ -29,7 +29,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DISTRIBUTION = Path("/usr/lib/python3/dist-packages")
-REQUIREMENTS = (ROOT / "requirements-dev.txt", ROOT / "test/requirements-ros.txt")
+REQUIREMENTS = (ROOT / "requirements/dev.txt", ROOT / "test/requirements-ros.txt")
 
 BESIDE_ROS = (
     *("rospkg", "catkin_pkg", "catkin", "pyparsing", "distro", "dateutil", "six.py", "docutils"),
@@ -98,7 +98,7 @@ def prepare(minor, python):
 
 
 def _requirements():
-    return sorted(ROOT.glob("requirements*.txt")) + [REQUIREMENTS[-1]]
+    return sorted((ROOT / "requirements").iterdir()) + [REQUIREMENTS[-1]]
 
 
 @contextlib.contextmanager

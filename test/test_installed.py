@@ -17,6 +17,7 @@ from conftest import ROOT
 VERSION = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]
 BUILT = (".git", ".venv", ".ws", "build", "demo-output", ".mypy_cache", ".ruff_cache")
 SHARED = ("web/index.html", "config/recorder.yaml", "launch/play.launch", "server/pom.xml")
+SHARED += ("requirements/runtime.txt", "requirements/viewer.txt")
 PACKAGES = next(path for path in sys.path if path.endswith("site-packages"))
 
 
@@ -71,7 +72,7 @@ def test_a_wheel_is_built_and_installed_beside_ros(copy, tmp_path):
     home = tmp_path / "venv"
     venv.create(home, system_site_packages=True, with_pip=False, symlinks=True)
     (packages,) = home.glob("lib/python3*/site-packages")
-    (packages / "tested.pth").write_text(PACKAGES)  # what requirements.txt pins is there
+    (packages / "tested.pth").write_text(PACKAGES)  # what requirements/runtime.txt pins is there
     python = home / "bin/python"
     run([python, "-m", "pip", "install", "-q", "--no-deps", wheel], env, tmp_path)
     share = home / "share"

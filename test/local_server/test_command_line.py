@@ -123,7 +123,7 @@ def test_a_python_without_the_driver_is_told_what_to_do(env, tmp_path):
     )
     assert done.returncode == 1
     assert "make setup" in done.stderr
-    assert f"pip install -r {ROOT / 'requirements.txt'}" in done.stderr
+    assert f"pip install -r {ROOT / 'requirements/runtime.txt'}" in done.stderr
     assert "catkin_make -DPYTHON_EXECUTABLE=" in done.stderr
 
 

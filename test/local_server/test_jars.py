@@ -149,7 +149,7 @@ def test_neither_maven_nor_maven_artifact(maven, monkeypatch):
     (maven / "mvn").unlink()
     monkeypatch.setattr(shutil, "which", lambda name: None)
     monkeypatch.setitem(sys.modules, "maven_artifact", None)
-    with pytest.raises(MissingDependency, match=r"pip install -r .*/requirements-java.txt"):
+    with pytest.raises(MissingDependency, match=r"pip install -r .*/requirements/java.txt"):
         jars.install_jars(lambda text: None)
 
 

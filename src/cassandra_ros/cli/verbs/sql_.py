@@ -8,7 +8,7 @@
       WHERE i.linear_acceleration.z > ?' 15 -O bumps.parquet
   cassandra_bag sql 'SELECT * FROM runs' --explain
 
-The SQL is DuckDB's (requirements-tables.txt; Python 3.11 or later). A topic is a table, with the
+The SQL is DuckDB's (requirements/tables.txt; Python 3.11 or later). A topic is a table, with the
 columns KEY, NODE, RUN, EVENT and the fields of its messages. Further tables are topics, runs,
 losses, events, constants and tf('map', 'base_link'). Put names with slashes in double quotes, and
 the statement in single ones. Values for ? and the outputs are as in 'cassandra_bag query'; there
