@@ -36,7 +36,7 @@ help:
 	@echo "make faults         the fault table: kill and cut, and account for each message (hours;"
 	@echo "                    ARGS='--short' minutes, --only NAME, --messages N, --list)"
 	@echo "make faults-page    fill the tables of doc/faults.md from the last make faults"
-	@echo "make lint           ruff, mypy, tsc on web/, catkin_lint, make doc"
+	@echo "make lint           ruff, mypy, tsc on viewing/web/, catkin_lint, make doc"
 	@echo "make doc            the pages of doc/, as build/doc/index.html; a warning is an error"
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
 	@echo "make bench-quick    the same with small numbers (5 minutes)"
@@ -53,7 +53,7 @@ help:
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
 setup:
-	@bash server/setup.sh
+	@bash requirements/setup.sh
 
 grammar:
 	@PYTHONPATH=src $(PYTHON) -c 'from cassandra_ros.query.tree.grammar import write_tables; write_tables()'
@@ -97,8 +97,8 @@ lint: setup doc
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
-	@if command -v tsc >/dev/null; then tsc --project web; else \
-	  echo "lint: the types in web/ are not checked: there is no tsc (Debian's package node-typescript)"; fi
+	@if command -v tsc >/dev/null; then tsc --project src/cassandra_ros/viewing/web; else \
+	  echo "lint: the types in viewing/web/ are not checked: there is no tsc (Debian's package node-typescript)"; fi
 	@$(IN_WORKSPACE) .venv/bin/catkin_lint --strict -W2 $(LINT_OPTIONS) .ws/src/cassandra_ros
 
 doc: setup

@@ -10,9 +10,22 @@ from setuptools import find_packages, setup
 
 ROOT = Path(__file__).resolve().parent
 SHARE = "share/cassandra_ros"
-SHARED_FOLDERS = ("config", "examples", "launch", "msg", "requirements", "server", "srv", "web")
+SHARED_FOLDERS = ("config", "examples", "launch", "msg", "requirements", "srv")
 SHARED_FILES = ("LICENSE", "package.xml")
 NAME = "cassandra_ros"
+PACKAGE_DATA = [
+    "py.typed",
+    "local_server/*.java",
+    "local_server/*.txt",
+    "local_server/*.xml",
+    "local_server/*.yaml",
+    "query/tree/*.json",
+    "query/tree/*.lark",
+    "viewing/web/*.css",
+    "viewing/web/*.html",
+    "viewing/web/*.svg",
+    "viewing/web/modules/*.js",
+]
 
 
 def pins(name):
@@ -82,7 +95,7 @@ def wheel_command():
                 path.chmod(0o755)
             for name in SHARED_FOLDERS:
                 for path in sorted((ROOT / name).rglob("*")):
-                    if path.is_file() and "__pycache__" not in path.parts:
+                    if path.is_file() and path.suffix not in (".pyc", ".sh"):
                         folder = path.parent.relative_to(ROOT).as_posix()
                         folders.setdefault(f"{SHARE}/{folder}", []).append(path)
             self.distribution.data_files = [
@@ -114,7 +127,7 @@ setup(
     **generate_distutils_setup(
         packages=find_packages("src"),
         package_dir={"": "src"},
-        package_data={"cassandra_ros": ["py.typed", "query/tree/cql.lark", "query/tree/*.json"]},
+        package_data={NAME: PACKAGE_DATA},
         **own_arguments(),
     )
 )

@@ -98,7 +98,7 @@ def prepare(minor, python):
 
 
 def _requirements():
-    return sorted((ROOT / "requirements").iterdir()) + [REQUIREMENTS[-1]]
+    return sorted((ROOT / "requirements").glob("*.txt")) + [REQUIREMENTS[-1]]
 
 
 @contextlib.contextmanager

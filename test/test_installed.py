@@ -10,14 +10,17 @@ import shutil
 import subprocess
 import sys
 import venv
+from pathlib import Path
 
 import pytest
 from conftest import ROOT
 
 VERSION = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]
 BUILT = (".git", ".venv", ".ws", "build", "demo-output", ".mypy_cache", ".ruff_cache")
-SHARED = ("web/index.html", "config/recorder.yaml", "launch/play.launch", "server/pom.xml")
-SHARED += ("requirements/runtime.txt", "requirements/viewer.txt")
+SHARED = ("config/recorder.yaml", "launch/play.launch", "msg/Row.msg", "requirements/runtime.txt")
+PACKAGE = ROOT / "src/cassandra_ros"
+NOT_INSTALLED = ("README.md", "tsconfig.json")
+"""Files of the package that only its developers need."""
 PACKAGES = next(path for path in sys.path if path.endswith("site-packages"))
 
 
@@ -42,13 +45,17 @@ def check_installed(env, share, cwd, python):
     launch = run(["roslaunch", "--files", "cassandra_ros", "play.launch"], env, cwd)
     assert launch.strip() == str(share / "launch/play.launch")
     code = "import cassandra_ros, cassandra_ros.srv as s; print(cassandra_ros.__file__);"
-    code += "print(s.GetData._type); from cassandra_ros.installation import shipped_file;"
-    code += "print(shipped_file('web/index.html'))"
-    file, service, web = run([python, "-c", code], env, cwd).split()
+    code += "from cassandra_ros.installation import requirements_file;"
+    code += "print(s.GetData._type, requirements_file('viewer.txt'))"
+    file, service, viewer = run([python, "-c", code], env, cwd).split()
     assert not file.startswith(str(ROOT)) and service == "cassandra_ros/GetData"
-    assert web == str(share / "web/index.html")
+    assert viewer == str(share / "requirements/viewer.txt")
     for name in SHARED:
         assert (share / name).read_bytes() == (ROOT / name).read_bytes()
+    for path in PACKAGE.rglob("*"):
+        if path.is_file() and path.name not in NOT_INSTALLED and path.suffix != ".pyc":
+            installed = Path(file).parent / path.relative_to(PACKAGE)
+            assert installed.read_bytes() == path.read_bytes()
 
 
 @pytest.fixture

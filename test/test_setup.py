@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""server/setup.sh: what it refuses, what it skips, what it says."""
+"""requirements/setup.sh: what it refuses, what it skips, what it says."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def set_up(folder, path=""):
     return subprocess.run(
-        ["bash", "server/setup.sh"],
+        ["bash", "requirements/setup.sh"],
         cwd=folder,
         stdin=subprocess.DEVNULL,
         capture_output=True,
@@ -31,8 +31,8 @@ def set_up(folder, path=""):
 
 def checkout(folder):
     """A copy of what setup.sh reads before its first step."""
-    (folder / "server").mkdir(parents=True)
-    shutil.copy(ROOT / "server" / "setup.sh", folder / "server")
+    (folder / "requirements").mkdir(parents=True)
+    shutil.copy(ROOT / "requirements" / "setup.sh", folder / "requirements")
     shutil.copy(ROOT / "Makefile", folder)
     return folder
 
@@ -111,7 +111,6 @@ def test_without_root_and_sudo_it_prints_the_one_command(tmp_path):
 def test_without_root_what_only_tests_need_is_named_in_one_line(tmp_path):
     folder = checkout(tmp_path / "checkout")
     # The next step stops: it installs what no file names.
-    (folder / "requirements").mkdir()
     (folder / "requirements/dev.txt").write_text("-r not-there.txt\n")
     for name in ("requirements/java.txt", "requirements/runtime.txt"):
         (folder / name).touch()

@@ -16,8 +16,8 @@ from conftest import ROOT
 from cassandra_ros.local_server import free_port
 
 NOT_THERE = ("java", "mvn", "sudo")
-NEEDED = ("Makefile", "CMakeLists.txt", "package.xml", "setup.py", "server", "scripts", "src")
-NEEDED += ("msg", "srv", "web", "launch", "config", "examples", "requirements")
+NEEDED = ("Makefile", "CMakeLists.txt", "package.xml", "setup.py", "requirements", "scripts", "src")
+NEEDED += ("msg", "srv", "launch", "config", "examples")
 USER = 65534  # nobody: no root, and no packages of a user's own
 
 

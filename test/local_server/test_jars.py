@@ -59,7 +59,7 @@ def maven(tmp_path, monkeypatch):
 
 
 def make_list(tmp_path, monkeypatch, coordinates, content=b"jar"):
-    """Let server/ hold a jars.txt of these jars beside the files that it has."""
+    """Let the package hold a jars.txt of these jars beside the files that it has."""
     server = tmp_path / "list" / "server"
     server.mkdir(parents=True, exist_ok=True)
     shutil.copy(POM, server)

@@ -7,21 +7,19 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import urllib.error
 import urllib.request
-from pathlib import Path
 
 import pytest
 from conftest import ROOT
 from nodes.children import Child, await_true
 
-from cassandra_ros.cli.viewer import _require_pages, make_parser, read_settings
-from cassandra_ros.errors import InvalidOption, MissingDependency
+from cassandra_ros.cli.viewer import make_parser, read_settings
+from cassandra_ros.errors import InvalidOption
 from cassandra_ros.viewing.viewer_server import address
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
@@ -210,27 +208,3 @@ def test_the_address_is_one_that_a_browser_opens():
     assert address(ViewerSettings(host="::1"), 1) == "http://[::1]:1/"
     shown = address(ViewerSettings(host="0.0.0.0", token="a b/ü"), 80)  # noqa: S104, S106
     assert shown == f"http://{socket.gethostname()}:80/?token=a%20b/%C3%BC"
-
-
-def test_the_pages_are_found_where_they_are_installed(tmp_path):
-    """As CMakeLists.txt installs them: the folder lies in share/, the modules in lib/."""
-    install = re.search(r"install\(DIRECTORY ([^\n]*)\n", (ROOT / "CMakeLists.txt").read_text())
-    assert "web" in install[1].split()
-    modules = tmp_path / "lib" / "python3" / "dist-packages" / "cassandra_ros"
-    modules.mkdir(parents=True)
-    for name in ("__init__.py", "errors.py", "installation.py"):
-        shutil.copy(ROOT / "src" / "cassandra_ros" / name, modules)
-    program = "from cassandra_ros.installation import *; print(shipped_file('web/index.html'))"
-
-    def found():
-        where = {"PYTHONPATH": str(modules.parent)}
-        command = [sys.executable, "-S", "-c", program]
-        done = subprocess.run(command, env=where, cwd=tmp_path, capture_output=True, text=True)
-        return done.stdout.strip()
-
-    assert found() == "web/index.html"  # of nowhere
-    with pytest.raises(MissingDependency, match="pages"):
-        _require_pages(Path(found()).parent)
-    shutil.copytree(ROOT / "web", tmp_path / "share" / "cassandra_ros" / "web")
-    assert found() == str(tmp_path / "share" / "cassandra_ros" / "web" / "index.html")
-    _require_pages(Path(found()).parent)

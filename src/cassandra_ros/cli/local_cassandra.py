@@ -259,7 +259,7 @@ VERBS = {
 def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     parser.set_defaults(nodes=None, host=None, port=None, heap=None, secure=None)
-    if name == "install":  # server/pom.xml defines what is downloaded
+    if name == "install":  # pom.xml defines what is downloaded
         return
     add(
         "--dir",

@@ -42,7 +42,7 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.studio_offer import install, offer
-from cassandra_ros.errors import InvalidOption, KeyspaceNotFound, MissingDependency
+from cassandra_ros.errors import InvalidOption, KeyspaceNotFound
 from cassandra_ros.installation import optional_module
 from cassandra_ros.store.connection.address import from_environment
 from cassandra_ros.store.connection.login import is_private, read_login
@@ -212,7 +212,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     from cassandra_ros.viewing.viewer_server import serve
 
     settings = read_settings(options)
-    _require_pages(settings.web)
     offer(PROGRAM, settings.studio)
     with _open_stores(options) as source:
 
@@ -239,15 +238,6 @@ def _open_stores(options: argparse.Namespace) -> RosCassandra | Fleet:
     ros_cas = open_store(options, make=True)
     _warn_of_nothing(ros_cas.catalog)
     return ros_cas
-
-
-def _require_pages(folder: Path) -> None:
-    # A relative path means that the folder was not found in the package.
-    if not (folder.is_absolute() and (folder / "index.html").is_file()):
-        raise MissingDependency(
-            "the viewer's pages, folder web of cassandra_ros, are not where it is installed: "
-            "install it again, with all of its files"
-        )
 
 
 def _warn_of_nothing(catalog: Catalog) -> None:

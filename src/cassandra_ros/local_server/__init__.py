@@ -4,6 +4,8 @@
 
 ``cluster`` has LocalCluster, one server or several of them. ``jars`` fetches Cassandra and checks
 its sums, ``server_security`` has it ask for a login, ``processes`` knows which server is ours.
+Beside the modules lie the files that they hand to Maven, Java and Cassandra: ``pom.xml`` and
+``jars.txt`` say which Cassandra is fetched, ``cassandra.yaml`` and ``logback.xml`` how it is set.
 
 In: a folder, a port. Out: a Cassandra that answers there.
 This room imports no other, and uses neither ROS nor the driver of Cassandra.

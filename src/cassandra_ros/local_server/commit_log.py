@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The end of the commit log of a node that was killed.
 
-The segments of server/cassandra.yaml are written section by section. A section begins with the
+The segments of cassandra.yaml are written section by section. A section begins with the
 position of the next one and a CRC of that, and its messages are acknowledged after all of it was
 written and synced. A SIGKILL or a power cut in the middle of a write leaves a section whose end is
 missing, and Cassandra refuses to start: "bad position but valid CRC".

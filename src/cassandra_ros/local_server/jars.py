@@ -3,7 +3,7 @@
 """Find Java and Cassandra's jars, and download the jars, completely or not at all.
 
 Maven downloads them, or without Maven the Python package maven-artifact. Both ways the jars
-are compared with the hashes in server/jars.txt.
+are compared with the hashes in jars.txt.
 """
 
 from __future__ import annotations
@@ -57,20 +57,12 @@ def jars_directory() -> Path:
 
 
 def server_file(name: str) -> Path:
-    """Return the path of a file of server/ in the source tree, devel space or install space."""
-    here = Path(__file__).absolute()
-    for parent in here.parents:
-        for place in (parent / "server", parent / "share" / "cassandra_ros" / "server"):
-            if (place / name).is_file():
-                return place / name
-    raise ServerError(
-        f"server/{name}, which the local Cassandra needs, is in no folder above {here}; "
-        "the package is not completely installed: build it again with catkin_make"
-    )
+    """Return the absolute path of a file beside the modules of local_server, as 'pom.xml'."""
+    return Path(__file__).absolute().with_name(name)
 
 
 def cassandra_version() -> str:
-    """Return the version of Cassandra that server/pom.xml names."""
+    """Return the version of Cassandra that pom.xml names."""
     pom = server_file("pom.xml")
     match = re.search(r"<cassandra\.version>([\w.-]+)</", pom.read_text(encoding="utf-8"))
     if not match:
@@ -79,7 +71,7 @@ def cassandra_version() -> str:
 
 
 def jars_installed() -> bool:
-    """Return whether all jars that server/pom.xml names are installed."""
+    """Return whether all jars that pom.xml names are installed."""
     try:
         return (jars_directory() / _MARKER).read_text(encoding="utf-8") == _pom_digest()
     except OSError:
@@ -149,7 +141,7 @@ def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
 
 
 def _run_maven_artifact(target: Path, say: Callable[[str], None]) -> None:
-    """Download the jars of server/jars.txt, each in a process of its own, which can be ended."""
+    """Download the jars of jars.txt, each in a process of its own, which can be ended."""
 
     def run(attempt: int) -> str:
         failed = threading.Event()
@@ -198,7 +190,7 @@ def _try_often(
 
 
 def listed_jars() -> dict[str, tuple[str, str]]:
-    """Return the SHA-256 and the Maven coordinates of each jar in server/jars.txt, by its name."""
+    """Return the SHA-256 and the Maven coordinates of each jar in jars.txt, by its name."""
     jars = {}
     for line in server_file("jars.txt").read_text(encoding="utf-8").splitlines():
         if line and not line.startswith("#"):
@@ -210,7 +202,7 @@ def listed_jars() -> dict[str, tuple[str, str]]:
 
 
 def _check_hashes(folder: Path, by: str) -> None:
-    """Compare the jars in a folder with server/jars.txt.
+    """Compare the jars in a folder with jars.txt.
 
     Raises:
         ServerError: One is missing, is not listed or has another content.

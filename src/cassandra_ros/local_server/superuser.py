@@ -74,7 +74,7 @@ def _move(draft: Path, node: Path) -> None:
 
 
 def _write(drafts: list[Path], password: str, java: str, jars: Path, folder: Path) -> None:
-    """Compile server/Superuser.java with the compiler that Cassandra brings, and run it."""
+    """Compile Superuser.java with the compiler that Cassandra brings, and run it."""
     # The optimizing compiler would take longer than these programs.
     common = [java, "-XX:TieredStopAtLevel=1", "-Xshare:auto", "-Xmx256M"]
     common += ["-cp", f"{folder}{os.pathsep}{jars / '*'}"]

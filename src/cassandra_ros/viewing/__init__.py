@@ -9,6 +9,7 @@ it returns. The pages that the browser loads are in the folder *web*. Folders:
 
 - ``drawing/``: pictures by Pillow and matplotlib: images, contact sheets, plots over time.
 - ``mapping/``: occupancy grids of stored scans and clouds, and the poses of the sensors.
+- ``web/``: the pages, HTML, CSS and JavaScript, as the browser loads them.
 
 In: requests of a browser. Out: JSON, pictures, files.
 This room imports files/bag/, stores/fleet/, client/ and what client/ imports. aiohttp, matplotlib

@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cassandra_ros.installation import shipped_file
 from cassandra_ros.viewing.studio import studio_folder
 
 DEFAULT_HOST = "127.0.0.1"
@@ -16,10 +15,6 @@ DEFAULT_CACHE_BYTES = 4 * 10**9
 """Default maximum size of all cached files, bytes."""
 DEFAULT_THREADS = 16
 """Default number of handler threads."""
-
-
-def _web_folder() -> Path:
-    return shipped_file("web/index.html").parent
 
 
 @dataclass(frozen=True)
@@ -66,7 +61,7 @@ class ViewerSettings:
     """Minimum time until one of several stores that did not answer is asked again, s."""
     limits: ClientLimits = ClientLimits()
     """Limits for clients."""
-    web: Path = field(default_factory=_web_folder)
+    web: Path = Path(__file__).absolute().with_name("web")
     """Folder of the viewer's own pages."""
     studio: Path = field(default_factory=studio_folder)
     """Folder of the packages of the Studio, each in a subfolder of its name; may be missing."""

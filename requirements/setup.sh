@@ -215,8 +215,9 @@ install_studio() {
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
-  local items=(CMakeLists.txt package.xml setup.py requirements web src scripts msg srv launch config server examples test)
+  local items=(CMakeLists.txt package.xml setup.py requirements src scripts msg srv launch config examples test)
   mkdir -p "$package"
+  find "$package" -maxdepth 1 -xtype l -delete # links to what an earlier checkout had
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.
     if [ -e "$root/$item" ] && [ "$(readlink "$package/$item")" != "../../../$item" ]; then
