@@ -88,10 +88,10 @@ campaign: setup
 	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=campaign $(PYTEST) -o faulthandler_timeout=0 $(ARGS)
 
 faults: setup
-	@$(IN_WORKSPACE) $(PYTHON) -m faults $(ARGS)
+	@$(IN_WORKSPACE) PYTHONPATH=test:$$PYTHONPATH $(PYTHON) -m faults $(ARGS)
 
 faults-page: setup
-	@$(IN_WORKSPACE) PYTHONPATH=src:$$PYTHONPATH $(PYTHON) -m faults.page $(ARGS)
+	@$(IN_WORKSPACE) PYTHONPATH=test:$$PYTHONPATH $(PYTHON) -m faults.page $(ARGS)
 
 lint: setup doc
 	$(PYTHON) -m ruff check .
@@ -149,7 +149,7 @@ deb:
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output
-	find src scripts test benchmark faults examples -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src scripts test benchmark examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The jars and the data under the ROS home stay: local_cassandra clear deletes the data.
 distclean: clean

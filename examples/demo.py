@@ -268,7 +268,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     if args.fleet:
-        sys.path.append(str(HERE.parent))  # for the proxy, which the folder faults has
+        sys.path.append(str(HERE.parent / "test"))  # for the proxy of the fault table
         import fleet_demo
 
         with ExitStack() as stack:

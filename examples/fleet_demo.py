@@ -16,6 +16,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from faults.proxy import Proxy
 from stage import (
     HERE,
     PATIENCE_SEC,
@@ -35,7 +36,6 @@ from stage import (
 from cassandra_ros import RosCassandra
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.stores.copying.copy_status import copy_status
-from faults.proxy import Proxy
 
 POLL_SEC = 1.0
 ATTEMPTS = 5

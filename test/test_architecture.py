@@ -63,7 +63,7 @@ def test_every_file_on_the_page_exists(page):
         assert (PACKAGE / name).is_file() or (ROOT / name).is_file(), name
 
 
-@pytest.mark.parametrize("folder", ["src", "benchmark", "faults", "examples", "test"])
+@pytest.mark.parametrize("folder", ["src", "benchmark", "examples", "test"])
 def test_docstrings_begin_with_a_noun_or_a_verb(folder):
     """None begins with "Of" or "So many", or says that there "is none"."""
     riddle = re.compile(r'(?:"""(?:Of|So (?:many|much|long|often)) )|there (?:is|are) none\b')

@@ -17,7 +17,7 @@ from conftest import ROOT, SERVER_VARIABLE
 from other_python import command_of_tests, found_pythons, prepare, run
 from suites import CAMPAIGN
 
-SOURCES = ("src", "scripts", "test", "examples", "benchmark", "faults")
+SOURCES = ("src", "scripts", "test", "examples", "benchmark")
 
 # One file of each part, and the API's contract on a real Cassandra.
 SOME = (

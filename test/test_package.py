@@ -220,9 +220,7 @@ def test_no_python_is_given_a_release_that_refuses_it(version):
 
 
 @pytest.mark.suite("all", "it parses all sources")
-@pytest.mark.parametrize(
-    "folder", ["src", "scripts", "examples", "benchmark", "faults", "test", "doc"]
-)
+@pytest.mark.parametrize("folder", ["src", "scripts", "examples", "benchmark", "test", "doc"])
 def test_every_file_is_syntax_of_python_3_8(folder):
     files = [path for path in (ROOT / folder).rglob("*") if path.suffix == ".py"]
     files += (ROOT / folder).iterdir() if folder == "scripts" else []

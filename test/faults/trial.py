@@ -152,7 +152,7 @@ class Trial:
         Args:
             messages: Number of messages; 0 = those of the trial, and more until ``finish``.
             first: The first number.
-            options: Further options of faults/publisher.py.
+            options: Further options of publisher.py.
         """
         log = self.folder / f"published_{len(self._logs)}.log"
         self._logs.append(log)

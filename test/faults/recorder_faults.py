@@ -60,7 +60,7 @@ def clock_set_forward(trial: Trial) -> None:
 def _clock_set(trial: Trial, seconds: int) -> None:
     clock = trial.folder / "clock"
     clock.write_text("0")
-    path = [str(ROOT / "faults/wall_clock"), trial.world.env["PYTHONPATH"]]
+    path = [str(ROOT / "test/faults/wall_clock"), trial.world.env["PYTHONPATH"]]
     _, publisher = trial.record(
         PYTHONPATH=os.pathsep.join(path), CASSANDRA_ROS_FAULTS_CLOCK=str(clock)
     )

@@ -17,8 +17,8 @@ import psutil
 
 from faults.trial import Result
 
-ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "faults/results/faults.json"
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "test/faults/results/faults.json"
 
 
 class Results:

@@ -335,7 +335,7 @@ def clocks_differ(trial: Trial) -> None:
     """The clocks of two robots are an hour behind and ahead of those of home and replicator."""
     trial.robots = ["behind", "ahead"]
     robot = _Robot(trial)
-    path = [str(ROOT / "faults/wall_clock"), trial.world.env["PYTHONPATH"]]
+    path = [str(ROOT / "test/faults/wall_clock"), trial.world.env["PYTHONPATH"]]
     for name, seconds in zip(trial.robots, (-HOUR_SEC, HOUR_SEC)):
         clock = trial.folder / name
         clock.write_text(str(seconds))

@@ -13,7 +13,7 @@ from faults.results import RESULTS, Results
 from faults.table import FAULTS
 from faults.trial import Result
 
-PAGE = Path(__file__).resolve().parents[1] / "doc/faults.md"
+PAGE = Path(__file__).resolve().parents[2] / "doc/faults.md"
 TITLES = {
     "recorder": "The recorder, and ROS around it",
     "store": "Cassandra, and the network before it",

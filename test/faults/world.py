@@ -18,7 +18,7 @@ from typing import Callable, Iterator
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.processes import spawn
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 WORKSPACE = Path(os.environ.get("CASSANDRA_ROS_TEST_WORKSPACE", ROOT / ".ws"))
 PROGRAMS = WORKSPACE / "devel/lib/cassandra_ros"
 POLL_SEC = 0.05
@@ -178,7 +178,7 @@ class World:
             ROS_LOG_DIR=str(folder / "ros/log"),
             ROS_IP="127.0.0.1",
             PYTHONUNBUFFERED="1",
-            PYTHONPATH=os.pathsep.join([str(ROOT), env.get("PYTHONPATH", "")]),
+            PYTHONPATH=os.pathsep.join([str(ROOT / "test"), env.get("PYTHONPATH", "")]),
             CASSANDRA_ROS_CQLSHRC=os.devnull,
         )
         self._open = contextlib.ExitStack()
