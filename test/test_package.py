@@ -46,7 +46,11 @@ MARKER = re.compile(
 def files_of_the_checkout():
     """Files, what was built or installed (.ws, .venv) left out."""
     for folder, folders, names in os.walk(ROOT):
-        folders[:] = [name for name in folders if not name.startswith((".", "__"))]
+        folders[:] = [
+            name
+            for name in folders
+            if name in (".ci", ".github") or not name.startswith((".", "__"))
+        ]
         yield from (Path(folder) / name for name in names)
 
 
@@ -234,7 +238,7 @@ def read_yaml(name):
 
 
 def test_a_commit_and_a_change_are_checked_by_the_commands_of_the_project():
-    (repo,) = read_yaml(".pre-commit-config.yaml")["repos"]
+    (repo,) = read_yaml(".github/pre-commit.yaml")["repos"]
     assert [(hook["entry"], hook["pass_filenames"]) for hook in repo["hooks"]] == [
         ("make lint", False)
     ]

@@ -87,7 +87,7 @@ FIGURES = [
 
 
 def test_each_figure_is_that_of_the_code():
-    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    text = (ROOT / ".github/SECURITY.md").read_text(encoding="utf-8")
     table = text.split("| piece | bound | figure |")[1].split("\n\n")[0]
     rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
     assert [row[2] for row in rows] == FIGURES
@@ -120,7 +120,7 @@ NO_FIGURES = (
 
 
 def test_the_text_has_the_figures_of_the_code_and_no_others():
-    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    text = (ROOT / ".github/SECURITY.md").read_text(encoding="utf-8")
     table = text.split("| piece | bound | figure |")[1].split("\n\n")[0]
     rest = " ".join(text.replace(table, "").split("# Security", 1)[1].split())
     for part in (*PROMISES, *NO_FIGURES):
@@ -134,7 +134,7 @@ def test_the_modes_of_our_files_are_those_that_are_named(tmp_path):
     os.close(own_files.lock_own(tmp_path / "lock"))
     own_files.own_folder(tmp_path / "folder")
     modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("lock", "folder")]
-    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    text = (ROOT / ".github/SECURITY.md").read_text(encoding="utf-8")
     assert "(modes {:o} and {:o})".format(*modes) in text
     cluster = LocalCluster(tmp_path / "cassandra")
     cluster.nodes[0].write_config()

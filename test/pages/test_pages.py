@@ -44,7 +44,7 @@ def test_the_readme_is_what_a_newcomer_needs():
     assert len(text.splitlines()) <= 200
     assert ".venv/bin/python" in text.split("**Which Python?**")[1].split("\n\n")[0]
     linked = re.findall(r"\]\(([\w./-]+)", text)
-    assert {"doc/tutorial.md", "doc/track.png", "CONTRIBUTING.md"} <= set(linked)
+    assert {"doc/tutorial.md", "doc/track.png", ".github/CONTRIBUTING.md"} <= set(linked)
     for name in linked:
         assert (ROOT / name).is_file(), name
 
