@@ -6,7 +6,7 @@ Stores it, starts the viewer, and asks as its pages do: Home's timeline, a momen
 With chromium and the Studio a browser opens a moment, too. At the end a year of a thousand million
 messages is noted in the directory, as it would be had somebody recorded them. Prints medians and
 quartiles with what must be reached; writes the samples to benchmark/results/viewer.json, of which
-make bench-page makes a table of doc/performance.md.
+make bench PAGE=1 makes a table of doc/performance.md.
 """
 
 from __future__ import annotations

@@ -208,7 +208,7 @@ install_jars() {
 
 install_studio() {
   PYTHONPATH=src "$venv/bin/python" scripts/viewer --install-studio </dev/null 2>&1 | sed -u 's/^/setup: studio: /' ||
-    say "studio: all but the viewer's page Look works without it; make viewer tries again"
+    say "studio: all but the viewer's page Look works without it; make setup tries again"
 }
 
 # --- 5: the catkin workspace -----------------------------------------------------------------

@@ -3,11 +3,11 @@
 """Run the tests under another Python: python test/other_python.py PYTHON [ARGS].
 
 PYTHON is a program, as python3.8: on the PATH, of pyenv, or its path. ARGS are pytest's; without
-them all tests run. A virtual environment with what requirements/dev.txt pins for that Python, and a
-catkin workspace whose programs start with it, are made in .ws and kept. ROS's Python packages are
-linked beside them where they are Python only; roslz4 and tf2_py are compiled for the distribution's
-Python, so that the tests that compare with them cannot run. At the end the reasons of all tests
-that did not run are listed with their numbers.
+them all tests of the suite run (CASSANDRA_ROS_SUITE, see suites.py). A virtual environment with
+what requirements/dev.txt pins for that Python, and a catkin workspace whose programs start with it,
+are made in .ws and kept. ROS's Python packages are linked beside them where they are Python only;
+roslz4 and tf2_py are compiled for the distribution's Python, so that the tests that compare with
+them cannot run. At the end the reasons of all tests that did not run are listed with their numbers.
 
 As a pytest plugin (-p other_python) this module leaves out the tests in SAME, and writes that list.
 """
@@ -214,6 +214,7 @@ def main(arguments):
         return 2
     print(f"other_python: {python}, in .ws/python3.{minor}", flush=True)
     program, env = prepare(minor, python)
+    env["CASSANDRA_ROS_SUITE"] = os.environ.get("CASSANDRA_ROS_SUITE", "test")
     return subprocess.run(command_of_tests(program, arguments[1:]), cwd=ROOT, env=env).returncode
 
 

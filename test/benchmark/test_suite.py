@@ -82,4 +82,4 @@ def test_the_figures_of_the_page_are_those_of_the_last_full_run():
         pytest.skip("there was no full run yet")
     text = PAGE.read_text(encoding="utf-8")
     assert "<!-- bench:" in text
-    assert fill(text, Results.load_all(path)) == text, "fill them with: make bench-page"
+    assert fill(text, Results.load_all(path)) == text, "fill them with: make bench PAGE=1"

@@ -81,7 +81,7 @@ def test_a_further_topic_begins_after_each_step():
 
 def test_the_page_shows_the_last_run():
     text = page.PAGE.read_text(encoding="utf-8")
-    assert page.fill(text, Results.load(RESULTS)) == text, "make faults-page fills it"
+    assert page.fill(text, Results.load(RESULTS)) == text, "make faults PAGE=1 fills it"
 
 
 def test_the_account_reads_a_block_as_the_package_writes_it():

@@ -35,7 +35,9 @@ def answer(parser, text):
 
 def test_the_kept_tables_are_those_of_the_grammar():
     kept = json.loads(module._TABLES.read_text("ascii"))
-    assert kept["origin"] == module._origin(), "the grammar or lark has changed: make grammar"
+    assert kept["origin"] == module._origin(), (
+        "the grammar or lark has changed: make setup GRAMMAR=1"
+    )
     computed = module._compute_parser()
     for text in TEXTS:
         assert answer(module.grammar(), text) == answer(computed, text)

@@ -28,7 +28,7 @@ def pyspark_folder():
             if missing:
                 pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "-q"]
                 run([*pip, "--prefix", FOLDER, "-r", REQUIREMENTS])
-    # make bench-spark installs it into .venv: then nothing is missing.
+    # make bench OF=spark installs it into .venv: then nothing is missing.
     return next(FOLDER.glob("lib/python3.*/site-packages"), Path(sysconfig.get_path("purelib")))
 
 

@@ -3,8 +3,8 @@
 """The parser of statements and conditions that lark makes of cql.lark.
 
 lark takes a tenth of a second to compute the parser's tables from a grammar. So they are kept in
-cql_tables.json, which `make grammar` writes: text and numbers only, as lark's own cache, a pickle,
-is not. Tables of another grammar, or of another lark, are not used: they are computed then.
+cql_tables.json, which `make setup GRAMMAR=1` writes: text and numbers only, as lark's own cache, a
+pickle, is not. Tables of another grammar, or of another lark, are not used: they are computed then.
 
 ``_Builder`` builds the tree while lark parses the text. Only this module and completion import lark
 at once: most programs parse nothing.
