@@ -71,6 +71,14 @@ def test_lint_builds_the_pages_and_takes_warnings_for_errors():
     assert re.search(r"^doc: .*\n(?:\t.*\n)*\t.*-m sphinx .*-W .* doc build/doc$", text, re.M)
 
 
+def test_the_makefile_has_the_targets_that_are_named():
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
+    places = [ROOT / "README.md", *ROOT.glob(".github/*.md"), *ROOT.glob("doc/*.md")]
+    texts = [path.read_text(encoding="utf-8") for path in places]
+    named = {name for text in texts for name in re.findall(r"(?:^|`)make ([a-z-]+)", text, re.M)}
+    assert {"setup", "test-all", "bench"} <= named <= set(targets)
+
+
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda module: module.__name__.split(".")[-1])
 def test_the_command_line_shows_each_option_of_each_verb(program):
     name = program.__name__.split(".")[-1]
