@@ -547,7 +547,7 @@ def test_a_file_object_stands_for_its_path(opened, tmp_path):
 def test_an_error_is_rosbags_only_where_rosbag_is_imported():
     script = """
 import sys
-from cassandra_ros.files.bag.rosbag_errors import bag_error
+from cassandra_ros.files.bag.stored_bag import bag_error
 print(type(bag_error("x")).__mro__[1].__name__, "rosbag" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

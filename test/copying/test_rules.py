@@ -16,9 +16,8 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.tables.registry import Run
-from cassandra_ros.stores.copying.bandwidth import Bandwidth
 from cassandra_ros.stores.copying.copy_status import copy_status
-from cassandra_ros.stores.copying.replicator import Replicator
+from cassandra_ros.stores.copying.replicator import Bandwidth, Replicator
 from cassandra_ros.stores.copying.rules import CopyRule, read_bandwidth, read_rules, read_rules_file
 
 

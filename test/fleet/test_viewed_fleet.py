@@ -34,9 +34,9 @@ from cassandra_ros import Fleet
 from cassandra_ros.store.tables.registry import Loss, LossKind
 from cassandra_ros.stores.copying.replicator import Replicator
 from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
+from cassandra_ros.viewing.api_call import ViewedFleet
 from cassandra_ros.viewing.fleet_routes import FLEET_ROUTES
 from cassandra_ros.viewing.routes import ROUTES
-from cassandra_ros.viewing.viewed_fleet import ViewedFleet
 
 REFUSED = {
     "/api/explain": {"q": "SELECT * FROM t"},

@@ -17,11 +17,11 @@ from cassandra_ros.messages.classes import deserialize, installed_definition, me
 from cassandra_ros.messages.definition import (
     attribute_name,
     definition_of,
+    installed_class,
     parse_definition,
     read_definition,
     render_spec,
 )
-from cassandra_ros.messages.installed_types import installed_class
 from cassandra_ros.messages.spec import parse_spec
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 
-from cassandra_ros.messages.installed_types import installed_class
+from cassandra_ros.messages.definition import installed_class
 
 CLASS = """
 import slow_msgs.msg

@@ -13,9 +13,8 @@ from playing.robots import SEC, T0, Robot, played, texts
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.playing.play_selection import PlaySelection
-from cassandra_ros.playing.play_stream import PlayStream
+from cassandra_ros.playing.play_stream import PlayStream, source_names, valid_name
 from cassandra_ros.playing.played_store import PlayedKeyspace
-from cassandra_ros.playing.robot_alignment import source_names, valid_name
 from cassandra_ros.playing.stored_ranges import StoredRange
 
 DAY = 86_400

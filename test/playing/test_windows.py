@@ -26,7 +26,7 @@ from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.read import TimeRange
 from cassandra_ros.store.tables.registry import Loss, LossKind
-from cassandra_ros.topics.hit_windows import merge_windows
+from cassandra_ros.topics.event_finder import merge_windows
 
 TIMES = st.integers(0, 60)
 

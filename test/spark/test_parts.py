@@ -20,8 +20,12 @@ from cassandra_ros import CassandraRosError
 from cassandra_ros.client.spark import topic as spark_topic
 from cassandra_ros.client.spark import topic_frame
 from cassandra_ros.client.spark.part_plan import BucketRange, pack, plan_parts
-from cassandra_ros.client.spark.part_reader import FrameSelection, PartReader
-from cassandra_ros.client.spark.spark_types import spark_batch, spark_schema
+from cassandra_ros.client.spark.part_reader import (
+    FrameSelection,
+    PartReader,
+    spark_batch,
+    spark_schema,
+)
 from cassandra_ros.client.spark.store_login import StoreLogin
 from cassandra_ros.errors import (
     InvalidKey,

@@ -11,7 +11,7 @@ import pytest
 from aiohttp import ClientSession, web
 
 from cassandra_ros.viewing.answers import CachedFile
-from cassandra_ros.viewing.file_answer import send_file
+from cassandra_ros.viewing.handler_threads import send_file
 
 CONTENT = bytes(range(100))
 WHOLE = (200, CONTENT)

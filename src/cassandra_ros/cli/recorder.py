@@ -390,7 +390,7 @@ def main() -> int:
         read_options(parser, given)
     from cassandra_ros.nodes.diagnostics import KeyspaceAddress
     from cassandra_ros.nodes.recorder_node import record, start_node
-    from cassandra_ros.nodes.recording_plan import make_plan
+    from cassandra_ros.nodes.subscriptions import make_plan
     from cassandra_ros.recording.store_future import NO_STORE, is_there
 
     options = parser.parse_args([*words_of(parser, start_node(sys.argv), given), *words])

@@ -6,7 +6,7 @@
 one was answered. Folders:
 
 - ``sql/``: SQL over all topics by DuckDB. ``sql_statement`` has sqlglot parse a statement, and
-  checks it. ``needed_columns`` and ``pushed_conditions`` say what is read. ``table_sources``
+  checks it. ``pushed_conditions`` says what need not be read. ``table_sources``
   streams it to DuckDB, which checks every row again. ``sql_result`` is the answer.
   ``statement_processes`` runs the statements of clients of viewer and query server in processes of
   their own. ``sql_series`` makes the points of plots, ``lake`` writes topics as Parquet.

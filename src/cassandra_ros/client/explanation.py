@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Iterator
 
-from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.tree.syntax import (
     TIMED,
     All,

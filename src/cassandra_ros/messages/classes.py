@@ -30,10 +30,10 @@ from cassandra_ros.messages.definition import (
     Definition,
     attribute_name,
     definition_of,
+    installed_class,
     read_definition,
     render_spec,
 )
-from cassandra_ros.messages.installed_types import installed_class
 from cassandra_ros.messages.spec import Field
 from cassandra_ros.messages.wire.field_ends import compile_object_check, compile_skip
 from cassandra_ros.messages.wire.fields import CannotBatch

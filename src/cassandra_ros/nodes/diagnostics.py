@@ -9,9 +9,9 @@ from typing import Mapping, NamedTuple, Sequence
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from cassandra_ros.nodes.quota_entry import quota_entry
 from cassandra_ros.recording.recording_status import WAITING, Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
+from cassandra_ros.stores.copying.quota import QuotaReport
 
 FULL = 0.5
 """Share of the buffer in use above which the level is WARN."""
@@ -119,3 +119,23 @@ class Diagnostics:
     ) -> DiagnosticStatus:
         pairs = [KeyValue(key, value) for key, value in values.items()]
         return DiagnosticStatus(level, f"{self._name}: {what}", text, self._hosts, pairs)
+
+
+class QuotaEntry(NamedTuple):
+    """Level, text and values of an entry."""
+
+    level: bytes
+    text: str
+    values: Mapping[str, str]
+
+
+def quota_entry(report: QuotaReport) -> QuotaEntry:
+    """Return the entry: WARN if what no other store has takes nearly all of the maximum size."""
+    level = DiagnosticStatus.WARN if report.nearly_full else DiagnosticStatus.OK
+    text = f"{report.share:.0%} of the maximum size is not copied"
+    values = {
+        "bytes": str(report.bytes),
+        "maximum bytes": str(report.max_bytes),
+        "bytes not copied": str(report.uncopied_bytes),
+    }
+    return QuotaEntry(level, text, values)

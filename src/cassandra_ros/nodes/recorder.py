@@ -21,9 +21,9 @@ from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidName, InvalidOption
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
-from cassandra_ros.nodes.run_context import keep_context
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
 from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.event_marks import EventMarks
@@ -42,6 +42,7 @@ from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.snapshot import Snapshots
 from cassandra_ros.recording.store_future import Store, store_future, then
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
+from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.store.tables.registry import LossKind
 from cassandra_ros.stores.copying.quota import Quota
@@ -563,3 +564,36 @@ def log_name(wire: bytes) -> str:
         return wire[at + 4 : at + 4 + _U32(wire, at)[0]].decode("utf-8", "replace")
     except struct.error:
         return ""
+
+
+TIMEOUT_SEC = 5.0
+"""Maximum time for each of three answers of the master, s."""
+
+
+def take_context() -> RunContext:
+    """Return parameters and node graph of the master.
+
+    Raises:
+        MASTER_ERRORS: The master does not answer.
+        ValueError: The answer of the master has another form.
+    """
+    name, master = rospy.get_name(), master_proxy(TIMEOUT_SEC)
+    _, _, params = master.getParam(name, "/")
+    _, _, (publishers, subscribers, services) = master.getSystemState(name)
+    _, _, types = master.getTopicTypes(name)
+    graph = NodeGraph(dict(publishers), dict(subscribers), dict(services), dict(types))
+    return RunContext(params if isinstance(params, dict) else {}, graph)
+
+
+def keep_context(recording: Recording) -> threading.Thread:
+    """Store the present context with a run, in the background."""
+
+    def work() -> None:
+        try:
+            recording.put_context(take_context())
+        except (*MASTER_ERRORS, ValueError, TypeError) as exc:
+            _log.warning("the parameters of run %s could not be read: %s", recording.name, exc)
+
+    thread = threading.Thread(target=work, name="recorder-context", daemon=True)
+    thread.start()
+    return thread

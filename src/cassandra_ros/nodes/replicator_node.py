@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.msg import CopiedTopic
-from cassandra_ros.nodes.quota_entry import quota_entry
+from cassandra_ros.nodes.diagnostics import quota_entry
 from cassandra_ros.nodes.ros_node import offer_services, start_named_node
 from cassandra_ros.srv import (
     ReplicatorStatus,

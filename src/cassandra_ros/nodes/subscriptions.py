@@ -21,6 +21,9 @@ from cassandra_ros.nodes.subscription import (
     subscribe,
     was_heard,
 )
+from cassandra_ros.recording.dry_run import PlannedTopic, plan_topics
+from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.topics.catalog import Catalog
 
 _log = logging.getLogger(__name__)
 
@@ -162,3 +165,15 @@ def _publishers(topics: Collection[str] | None) -> dict[str, int]:
         for topic, nodes in publishers
         if nodes and (topics is None or topic in topics)
     }
+
+
+def make_plan(catalog: Catalog, options: RecorderOptions) -> list[PlannedTopic]:
+    """Return the plan for each topic that would be recorded now; raises one of MASTER_ERRORS."""
+    named = [] if options.regex else [rospy.resolve_name(name) for name in options.topics]
+    if options.node:
+        named += subscribed_topics(rospy.resolve_name(options.node))
+    topics = {topic for topic in named if not options.excludes(topic)}
+    topics.update(filter(options.chooses, published_topics()))
+    _, _, pairs = rospy.get_master().getTopicTypes()
+    types = dict(pairs)
+    return plan_topics(catalog, options.settings, {t: types.get(t, "") for t in topics})

@@ -4,9 +4,9 @@
 
 ``poses`` and ``frame_poses`` give the poses of many times at once, out of tf or of a topic that
 tells them. ``whereabouts`` finds when a robot was in a region, by an index of coarse cells of the
-ground (``run_index``, ``coverage``) as far as that goes. ``transforms/`` looks up one time.
+ground (``run_index``) as far as that goes. ``transforms/`` looks up one time.
 
-``stored_topics`` and ``array_source`` say what the caller must offer, which has the topics.
+``array_source`` says what the caller must offer, which has the topics.
 
 In: the topics of a keyspace by those interfaces. Out: arrays of poses, transforms, time ranges.
 topics/ uses this room, and is not known here.

@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Protocol, Sequence
+from typing import Any, Callable, NamedTuple, Protocol, Sequence
 
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.read import Read, TimeRange, Whose, Writers
 
 
@@ -68,3 +67,36 @@ def last_key(topic: ArraySource, node: str | None, writers: Writers) -> int | No
     """Return the last row key of a topic, ns; None if it has no messages."""
     rows = topic.read(Read(whose=Whose.of(node, writers), reverse=True, wanted=1))
     return next((row.t for row in rows), None)
+
+
+class Extent(NamedTuple):
+    """A time range in which a run has, or may have, messages in a table."""
+
+    table: str
+    writer: int
+    """Writer id of the run."""
+    low: int
+    high: int
+    """First and last row key, ns, both included."""
+
+
+class StoredTopics(Protocol):
+    """The topics of a keyspace."""
+
+    def find(self, name: str) -> ArraySource:
+        """Return a topic by its name; raises TopicNotFound."""
+
+    def topics(self) -> Sequence[ArraySource]:
+        """Return all topics, sorted by name."""
+
+    def nodes(self, topic: ArraySource) -> Sequence[str]:
+        """Return the nodeIDs that have messages of a topic, sorted."""
+
+    def extents(self, topic: ArraySource, node: str, low: int, high: int) -> Sequence[Extent]:
+        """Return the time ranges of a node's messages of a topic, by run, touching [low, high]."""
+
+    def run_nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
+        """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
+
+    def run_text(self, writer: int) -> str:
+        """Return the value of RUN for the messages of a writer."""

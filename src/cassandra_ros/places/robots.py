@@ -23,6 +23,7 @@ from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.array_source import (
     ArraySource,
+    StoredTopics,
     TopicFinder,
     find_stored,
     key_after,
@@ -32,7 +33,6 @@ from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecord
 from cassandra_ros.places.pose_samples import NO_FRAME, Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, PoseSource
-from cassandra_ros.places.stored_topics import StoredTopics
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import Writers
 

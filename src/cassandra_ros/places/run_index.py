@@ -15,7 +15,13 @@ from functools import partial
 from typing import Callable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.array_source import ArraySource, TopicFinder, find_stored
+from cassandra_ros.places.array_source import (
+    ArraySource,
+    Extent,
+    StoredTopics,
+    TopicFinder,
+    find_stored,
+)
 from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.ground_cells import OpenVisits
 from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath, merge_ranges
@@ -23,7 +29,6 @@ from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MAX_FRAMES, fixed_frames, frames_above, frames_in
-from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square, VisitRow
 
 MAX_FRAMES_ABOVE = 16

@@ -18,11 +18,11 @@ from typing import Iterator, Mapping, Sequence
 import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.places.array_source import Extent, StoredTopics
 from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.robots import Robot
-from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.read import Writers
 
 WINDOW_NS = 30 * SECOND_NS

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Iterator, Mapping, NamedTuple, Protocol, Sequence
+from typing import Iterator, Mapping, NamedTuple, Protocol, Sequence, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,3 +229,34 @@ class Row(Protocol):
     @property
     def wire(self) -> bytes:
         """The serialised message."""
+
+
+RowT_co = TypeVar("RowT_co", bound=Row, covariant=True)
+
+
+class Source(Protocol[RowT_co]):
+    """The stored messages of one topic."""
+
+    @property
+    def name(self) -> str:
+        """Name of the topic."""
+
+    @property
+    def tables(self) -> Sequence[Table]:
+        """Tables of the topic, one for each definition and format.
+
+        Empty before the first message.
+        """
+
+    def read(self, read: Read) -> Iterator[RowT_co]:
+        """Yield the rows that a read asks for, in its order.
+
+        Raises:
+            InvalidKey: The read asks for an invalid name.
+        """
+
+    def count(self, read: Read) -> int:
+        """Return the number of rows in the time range of a read, of its nodes and writers."""
+
+    def countBuckets(self) -> int:
+        """Return the number of partitions: time ranges of a node in a table."""

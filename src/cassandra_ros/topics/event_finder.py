@@ -8,7 +8,7 @@ import difflib
 from dataclasses import replace
 from itertools import islice
 from numbers import Integral
-from typing import Any, Iterator, Mapping, NamedTuple, Sequence, Tuple, TypeVar, Union
+from typing import Any, Iterable, Iterator, Mapping, NamedTuple, Sequence, Tuple, TypeVar, Union
 
 from cassandra_ros.arguments import (
     check_event_name,
@@ -19,6 +19,7 @@ from cassandra_ros.arguments import (
 )
 from cassandra_ros.errors import EventNotFound, InvalidKey, InvalidName, InvalidOption
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Length, Time, duration_ns, iso_time, to_ns
+from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.query import protocols
 from cassandra_ros.query.rows.name_resolution import like_test
 from cassandra_ros.read import ALWAYS, EVERYBODY, LAST_NS, Read, TimeRange, Whose
@@ -237,3 +238,17 @@ def _time(value: Time) -> int:
             "time of a simulation is a genpy.Time"
         )
     return to_ns(value)
+
+
+def merge_windows(
+    hits: Iterable[int], before: int, after: int, bounds: TimeRange
+) -> Iterator[TimeRange]:
+    """Yield windows around hits in order, lazily; they do not overlap or touch.
+
+    Args:
+        hits: Ascending times within the bounds, ns.
+        before, after: Length of a window before and after its hit, ns, at least 0.
+        bounds: Time range to which windows are cut.
+    """
+    around = ((max(bounds.low, hit - before), min(bounds.high, hit + after)) for hit in hits)
+    return (TimeRange(*window) for window in merge_ranges(around))

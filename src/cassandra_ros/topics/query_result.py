@@ -22,10 +22,9 @@ from cassandra_ros.query.plan.bounds import (
     with_stays,
 )
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
-from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.protocols import Row, RowT_co, Source, Table
 from cassandra_ros.query.rows.projection import Projections, ResultRow
 from cassandra_ros.query.rows.result_groups import analyse_select, make_groups
-from cassandra_ros.query.source import RowT_co, Source
 from cassandra_ros.query.tree.parse import parse_condition
 from cassandra_ros.query.tree.syntax import Delete, Select
 from cassandra_ros.read import EVERYBODY, EVERYTHING, Read, Whose

@@ -24,7 +24,7 @@ from cassandra_ros.messages.stamps import (
     to_ns,
 )
 from cassandra_ros.query.arrays.field_arrays import ColumnChoice, ReadBlocks, ReadRows
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.protocols import Source
 from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.query_result import Condition

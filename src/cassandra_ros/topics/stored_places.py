@@ -8,8 +8,7 @@ from itertools import islice
 from typing import Callable, Sequence
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.array_source import ArraySource
-from cassandra_ros.places.stored_topics import Extent
+from cassandra_ros.places.array_source import ArraySource, Extent
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store.tables.directory import BucketRow
 from cassandra_ros.topics.cassandra_topic import CassandraTopic

@@ -23,8 +23,7 @@ from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import Kind, TopicMetadata, message_kind, type_text
 from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.store.connection.cassandra import Cassandra
-from cassandra_ros.store.tables.row_encoder import Indexed, Shadows
-from cassandra_ros.store.tables.row_table import NewRow, RowTable, encode_long
+from cassandra_ros.store.tables.row_table import Indexed, NewRow, RowTable, Shadows, encode_long
 from cassandra_ros.store.tables.schema import Schema, TableListing
 from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.run_finder import Runs

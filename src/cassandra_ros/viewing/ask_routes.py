@@ -33,10 +33,9 @@ from cassandra_ros.topics.overview.envelopes import EnvelopeCache
 from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PIXELS, PlotWindow, Series
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import NODES, RUNS, WHOLE_RANGE, ApiCall, whose_of
 from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE, whose_of
 from cassandra_ros.viewing.sql_answers import sql_plan, sql_plot, sql_rows
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 

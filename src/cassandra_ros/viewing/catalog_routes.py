@@ -16,9 +16,8 @@ from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import RUNS, TOPICS, ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import RUNS, TOPICS
 
 MAX_LISTED = 10_000
 """Maximum number of runs or marks in one answer."""

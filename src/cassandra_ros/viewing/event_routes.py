@@ -11,11 +11,10 @@ from cassandra_ros.errors import AccessDenied
 from cassandra_ros.read import LAST_NS, TimeRange
 from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import END, NODES, RUNS, START, ApiCall, whose_of
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most, shown_ns
 from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, whose_of
 
 _USUAL_EVENTS = 1000
 _MAX_SEARCHED = 100_000

@@ -95,7 +95,7 @@ def _refuse(call: ApiCall) -> Answer:
 
 
 def _whose(call: ApiCall, stores: FleetAnswer) -> Whose:
-    """Return the robots and runs of a call, see selection_parameters.whose_of.
+    """Return the robots and runs of a call, see api_call.whose_of.
 
     A run that only a store has that does not answer has no messages.
 

@@ -25,20 +25,20 @@ from cassandra_ros.topics.overview.timeline.lanes import Lane, Picture, View
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, StreamedBody
-from cassandra_ros.viewing.api_call import ApiCall
-from cassandra_ros.viewing.catalog_routes import shown_ns
-from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
-from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import (
+from cassandra_ros.viewing.api_call import (
     END,
     NODES,
     RUNS,
     START,
     TIME,
     TOPICS,
+    ApiCall,
     tables_of,
     whose_of,
 )
+from cassandra_ros.viewing.catalog_routes import shown_ns
+from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
+from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.studio import STUDIO_VERSION, studio_installed
 from cassandra_ros.viewing.timeline_routes import timeline_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings

@@ -15,7 +15,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.viewing.answers import Bytes
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import NODES, RUNS, WHOLE_RANGE, ApiCall
 from cassandra_ros.viewing.drawing.map_picture import map_info, map_png
 from cassandra_ros.viewing.mapping.map_builder import (
     DEFAULT_RESOLUTION,
@@ -25,7 +25,6 @@ from cassandra_ros.viewing.mapping.map_builder import (
 )
 from cassandra_ros.viewing.mapping.sensor_poses import PoseChoice
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 USUAL_MESSAGES = 1000

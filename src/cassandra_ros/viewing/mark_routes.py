@@ -15,11 +15,10 @@ from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.read import Read
 from cassandra_ros.store.tables.registry import Loss, Run
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import END, NODES, RUNS, START, ApiCall, whose_of
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
 from cassandra_ros.viewing.event_routes import within
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, whose_of
 
 _USUAL_MARKS = 2000
 

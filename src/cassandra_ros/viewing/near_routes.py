@@ -12,9 +12,8 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.regions import DiskRegion, Polygon, Region
 from cassandra_ros.places.tracks import find_tracks
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import NODES, WHOLE_RANGE, ApiCall, whose_of
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import NODES, WHOLE_RANGE, whose_of
 
 MOST_STAYS = 1000
 """Maximum number of stays in one answer."""

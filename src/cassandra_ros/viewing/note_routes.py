@@ -8,9 +8,8 @@ from typing import Callable
 
 from cassandra_ros.topics.overview.stored_ends import Ends, far_outside, wrong_unit
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import END, NODES, START, TIME, ApiCall
 from cassandra_ros.viewing.route import Route
-from cassandra_ros.viewing.selection_parameters import END, NODES, START, TIME
 from cassandra_ros.viewing.timeline_routes import timeline_of
 
 

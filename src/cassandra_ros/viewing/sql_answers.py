@@ -26,9 +26,8 @@ from cassandra_ros.query.arrays.arrow_types import load_arrow
 from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.query.tree.json_values import to_json
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import ApiCall, whose_of
 from cassandra_ros.viewing.lossless_json import JsonConverter
-from cassandra_ros.viewing.selection_parameters import whose_of
 
 
 def _open_answer(call: ApiCall, watch: Watch, plan: bool = False) -> ContextManager[SqlAnswer]:

@@ -17,10 +17,9 @@ from cassandra_ros.topics.overview.timeline.time_cells import (
     time_ranges_of_cells,
 )
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import NODES, RUNS, TOPICS, WHOLE_RANGE, ApiCall, whose_of
 from cassandra_ros.viewing.catalog_routes import shown_ns
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import NODES, RUNS, TOPICS, WHOLE_RANGE, whose_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _PIXELS = 1000

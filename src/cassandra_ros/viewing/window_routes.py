@@ -31,10 +31,9 @@ from cassandra_ros.topics.overview.latched_messages import latched_before
 from cassandra_ros.topics.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.topics.row_finder import Where, range_between
 from cassandra_ros.viewing.answers import Answer, CachedFile, StreamedBody
-from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.api_call import END, NODES, RUNS, START, TOPICS, ApiCall, whose_of
 from cassandra_ros.viewing.download_cache import DownloadCache
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, TOPICS, whose_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _WHERE = Parameter(

@@ -15,10 +15,9 @@ from cassandra_ros.files.bag.bag_reader import BagReader
 from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.files.bag.file_writer import FileWriter
 from cassandra_ros.files.bag.identity import read_content
-from cassandra_ros.files.bag.mcap_reader import McapReader
+from cassandra_ros.files.bag.mcap_reader import METADATA, SQLITE_MAGIC, McapReader, refusal
 from cassandra_ros.files.bag.mcap_writer import McapWriter
 from cassandra_ros.files.bag.message_file import MessageFile
-from cassandra_ros.files.bag.rosbag2 import METADATA, SQLITE_MAGIC, refusal
 from cassandra_ros.store.tables.registry import Run
 
 _log = logging.getLogger(__name__)

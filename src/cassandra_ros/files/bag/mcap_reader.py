@@ -29,7 +29,6 @@ from cassandra_ros.files.bag.message_file import (
     PublishTimes,
     SalvageReport,
 )
-from cassandra_ros.files.bag.rosbag2 import refusal
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection
 
@@ -488,3 +487,18 @@ class McapReader(MessageFile):
             f"{self.path} holds no messages of ROS 1: of topic {topic} {why}; only MCAP files of "
             "ROS 1 can be stored, as 'mcap convert IN.bag OUT.mcap' makes them of bags"
         )
+
+
+METADATA = "metadata.yaml"
+SQLITE_MAGIC = b"SQLite format 3\x00"
+
+
+def refusal(path: str) -> BagError:
+    """Return the error for a file or folder of rosbag2; it says how to convert it to ROS 1."""
+    folder = path if os.path.isdir(path) else os.path.dirname(path) or "."
+    whole = folder if os.path.exists(os.path.join(folder, METADATA)) else path
+    return BagError(
+        f"{path} is a bag of ROS 2 (rosbag2); its messages are not those of ROS 1, which are kept "
+        "here: convert it with 'pip install rosbags' and 'rosbags-convert --src "
+        f"{whole} --dst OUT.bag', and import OUT.bag"
+    )

@@ -8,10 +8,11 @@ import atexit
 import io
 import math
 import os
+import sys
 from collections import Counter
 from dataclasses import replace
 from enum import Enum
-from functools import partial
+from functools import lru_cache, partial
 from itertools import count, groupby
 from operator import attrgetter
 from typing import (
@@ -31,12 +32,11 @@ import numpy as np
 
 from cassandra_ros.arguments import check_list, check_new_topic, check_topic
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.errors import BagNotFound, InvalidOption, RunNotFound, TypeMismatch
+from cassandra_ros.errors import BagError, BagNotFound, InvalidOption, RunNotFound, TypeMismatch
 from cassandra_ros.files.bag.file_formats import runs_of_content
 from cassandra_ros.files.bag.format import COMPRESSIONS
 from cassandra_ros.files.bag.identity import describe_same_name, runs_meant, runs_of_file, source_of
 from cassandra_ros.files.bag.message_sample import MessageSample, join_samples, read_samples
-from cassandra_ros.files.bag.rosbag_errors import bag_error
 from cassandra_ros.files.bag.summary import Summary, TopicSummary
 from cassandra_ros.keys import MAX_NS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.classes import installed_definition, serialize
@@ -787,3 +787,28 @@ def _truncated_ns(seconds: float) -> int:
     """Return the ns of a genpy Time of these seconds, which is refused above 2**32 s."""
     whole = int(seconds)
     return whole * SECOND_NS + int((seconds - whole) * SECOND_NS)
+
+
+def bag_error(text: str) -> BagError:
+    """Return a BagError; where rosbag is imported in this process, also a ROSBagException."""
+    return _rosbag_error()(text) if "rosbag.bag" in sys.modules else BagError(text)
+
+
+@lru_cache(maxsize=None)
+def _rosbag_error() -> type[BagError]:
+    from rosbag.bag import ROSBagException
+
+    class StoredBagError(BagError, ROSBagException):
+        """A BagError of class Bag that is also a ROSBagException."""
+
+        __module__, __qualname__ = BagError.__module__, BagError.__qualname__
+
+        @property
+        def value(self) -> str:
+            """The error text, under the name that rosbag uses."""
+            return str(self)
+
+        def __reduce__(self) -> tuple[object, ...]:
+            return bag_error, self.args
+
+    return StoredBagError

@@ -20,8 +20,7 @@ from cassandra_ros.places.transforms.transform_samples import (
     name_only,
     read_transforms,
 )
-from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.source import Source
+from cassandra_ros.query.protocols import Row, Source, Table
 from cassandra_ros.read import Writers
 
 if TYPE_CHECKING:

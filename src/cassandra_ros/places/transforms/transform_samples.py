@@ -20,9 +20,8 @@ from typing import Any, Iterator, NamedTuple, Sequence, Tuple
 from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
 from cassandra_ros.metadata import message_kind
-from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.protocols import Row, Source, Table
 from cassandra_ros.query.rows.projection import Extractor
-from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.read import Read, TimeRange, Whose, Writers
 

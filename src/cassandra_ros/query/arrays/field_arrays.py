@@ -21,10 +21,9 @@ from cassandra_ros.query.arrays.column_values import empty_values, join_values, 
 from cassandra_ros.query.arrays.stacked_values import MessageBlock
 from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.query.plan.bounds import bounds_of, with_stays
-from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.protocols import Row, Source, Table
 from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.result_groups import analyse_select
-from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.expressions import INTEGER
 from cassandra_ros.query.tree.parse import parse_condition, parse_select
 from cassandra_ros.query.tree.syntax import Aggregate, KeyOperand, Select, Selected, Term

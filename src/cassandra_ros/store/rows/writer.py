@@ -44,7 +44,6 @@ from cassandra_ros.store.connection.requests import Flight, Outcome, Patience
 from cassandra_ros.store.rows.row_counts import recount
 from cassandra_ros.store.tables.checksum import crc32
 from cassandra_ros.store.tables.directory import HEARTBEAT_SEC, BucketTotals, Directory
-from cassandra_ros.store.tables.row_encoder import Shadows
 from cassandra_ros.store.tables.row_table import (
     CHUNK_BYTES,
     INLINE_COLUMN_BYTES,
@@ -52,6 +51,7 @@ from cassandra_ros.store.tables.row_table import (
     UNSET,
     NewRow,
     RowTable,
+    Shadows,
     bind,
     encode_int,
     encode_long,

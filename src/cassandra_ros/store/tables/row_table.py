@@ -6,7 +6,17 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache, partial
-from typing import Callable, Iterable, NamedTuple, Sequence, Tuple, TypeVar
+from typing import (
+    Callable,
+    Iterable,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+    TypeVar,
+)
 
 from cassandra.cluster import ResponseFuture, ResultSet
 from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Statement
@@ -16,6 +26,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import chunk_table_name, qualified, quote_name
+from cassandra_ros.store.connection.protocol import Offsets
 from cassandra_ros.store.connection.requests import (
     IsRefused,
     OnPage,
@@ -24,7 +35,6 @@ from cassandra_ros.store.connection.requests import (
     answered,
     retried,
 )
-from cassandra_ros.store.tables.row_encoder import IndexEncoder, RowEncoder, Shadows
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
@@ -526,3 +536,64 @@ def bind(
     if page_rows is not None:
         bound.fetch_size = page_rows
     return bound
+
+
+Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
+"""Encoded values of the format's columns (None = unset), whether the row must be marked odd, and
+the message if the columns cannot give it back."""
+Indexed = Tuple[Sequence[Optional[bytes]], bool]
+"""Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
+Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
+"""Encoded values of the zone columns (None = unset), names of the fields with a NaN value (sorted),
+and whether the block must be marked odd."""
+
+
+class RowEncoder(Protocol):
+    """Turns serialised messages into the columns of rows, and back."""
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Names of the format's columns, in the format's order."""
+
+    @property
+    def zone_columns(self) -> Sequence[str]:
+        """Names of the columns with minimum and maximum values in a block."""
+
+    def encode_wire(self, wire: bytes) -> Encoded:
+        """Return the columns of a message."""
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
+        """Return the columns of each message, each column after its size.
+
+        None for a message = encode_wire must encode it. There is one result for each message.
+        """
+
+    def decode_together(
+        self, data: bytes, starts: Offsets, ends: Offsets, sizes: Offsets
+    ) -> Sequence[bytes | None]:
+        """Return the messages, of these sizes, whose columns are from starts to ends in data.
+
+        Each column follows its size. None for a message = the row must be decoded by itself.
+        """
+
+    def zones(self, wires: Sequence[bytes]) -> Zones:
+        """Return the zones of serialised messages; the bytes may be damaged."""
+
+
+class Shadows(NamedTuple):
+    """The columns of a table's indexes."""
+
+    names: tuple[str, ...]
+    values: Callable[[bytes], Indexed]
+    """Returns the values of the columns for a serialised message."""
+
+
+class IndexEncoder(Protocol):
+    """Turns serialised messages into the columns of indexes."""
+
+    def shadows(self, indexes: Mapping[str, str]) -> Shadows | None:
+        """Return the columns of a table's indexes; None if it has no index.
+
+        Args:
+            indexes: Indexed field → shadow column, as the table's comment says.
+        """

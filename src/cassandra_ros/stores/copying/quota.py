@@ -19,7 +19,7 @@ from cassandra_ros.store.tables.copy_books import CopiedBucket, CopyBooks
 from cassandra_ros.store.tables.directory import BucketRow, slot_of
 from cassandra_ros.store.tables.registry import Loss, LossKind
 from cassandra_ros.stores.copying.bucket_copy import is_settled
-from cassandra_ros.stores.copying.uncopied import uncopied as uncopied_of
+from cassandra_ros.stores.copying.copy_status import uncopied as uncopied_of
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.topic_table import TopicTable

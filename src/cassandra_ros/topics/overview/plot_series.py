@@ -20,10 +20,9 @@ from cassandra_ros.query.arrays.array_types import AnyArray, column_types
 from cassandra_ros.query.arrays.envelope import Envelope, Grid, Points
 from cassandra_ros.query.plan.bounds import Bounds, bounds_of, bounds_time, spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
-from cassandra_ros.query.protocols import Row
+from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.rows.projection import ResultRow
 from cassandra_ros.query.rows.result_groups import analyse_select
-from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected, conjuncts
 from cassandra_ros.read import ALWAYS, EVERYBODY, Read, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic

@@ -21,8 +21,7 @@ from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.rows.row_counts import settle
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.event_finder import EventChoice
-from cassandra_ros.topics.hit_windows import merge_windows
+from cassandra_ros.topics.event_finder import EventChoice, merge_windows
 from cassandra_ros.topics.overview.latched_messages import LatchedFinder
 from cassandra_ros.topics.removal import thin_rows
 from cassandra_ros.topics.stored_row import StoredRow

@@ -27,8 +27,7 @@ from cassandra_ros.store.rows.fetch import fetch_row, list_names
 from cassandra_ros.store.rows.orphans import old_us, orphans, partitions, remove_orphans, rows_at
 from cassandra_ros.store.rows.row_counts import recount
 from cassandra_ros.store.tables.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
-from cassandra_ros.store.tables.row_encoder import Zones
-from cassandra_ros.store.tables.row_table import ALL, TableRow, decode_long, encode_texts
+from cassandra_ros.store.tables.row_table import ALL, TableRow, Zones, decode_long, encode_texts
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import read_wire
 from cassandra_ros.topics.topic_table import TopicTable
