@@ -8,9 +8,8 @@
 - ``rows/`` reads field values from messages, checks conditions and makes the rows of the result.
 - ``arrays/``: many messages as numpy arrays, pandas frames and record batches of Arrow.
 
-``source`` and ``protocols`` say what the caller must offer, which has the stored rows. The caller
-joins the parts: topics/query_result.py for a statement, client/explanation.py for how it was
-answered.
+``protocols`` says what the caller must offer, which has the stored rows. The caller joins the
+parts: topics/query_result.py for a statement, client/explanation.py for how it was answered.
 
 In: the text of a statement, a source of rows. Out: a ``Read``, then rows of the result.
 This room imports messages/. lark comes in here.
