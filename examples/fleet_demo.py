@@ -257,7 +257,7 @@ class FleetDemo:
             robot.shell.echo("kill -INT replicator")
             if robot.programs["replicator"].stop():
                 raise SystemExit(f"demo: {robot.programs['replicator'].text()}")
-            robot.shell.run(*RUN, "cassandra_bag", "copies", shown=4)
+            robot.shell.run(*RUN, "cassandra_bag", "copy", "--status", shown=4)
 
     def verify(self) -> None:
         say("Is every message home, once?")

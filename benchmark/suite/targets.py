@@ -271,7 +271,7 @@ def _start(results: Results) -> Iterator[Target]:
         1.2,
         beside(["cassandra_bag --help"], "rosbag --help"),
     )
-    asked = [f"cassandra_bag {verb}" for verb in ("keyspaces", "info", "query")]
+    asked = [f"cassandra_bag {verb}" for verb in ("info", "query")]
     yield at_most("answer of a small store", "x rosbag info", 2.0, beside(asked, "rosbag info"))
     for work, name, wanted in (
         ("recorder subscribed", "recorder, until it is subscribed", 1.0),

@@ -26,7 +26,7 @@ def press_tab(ros_env, env):
     def run(*lines, shell="bash"):
         program = WORKSPACE / "devel/lib/cassandra_ros/cassandra_bag"
         text = [] if shell == "bash" else ["autoload -U compinit", "compinit -u"]
-        text.append(f'eval "$({program} completion {shell})"')
+        text.append(f'eval "$({program} --completion {shell})"')
         text += [TAB.format(shlex.quote(line), "_cassandra_ros_bag") for line in lines]
         options = ["--norc"] if shell == "bash" else ["-f"]
         done = subprocess.run(
@@ -55,6 +55,8 @@ def test_verbs_options_topics_and_fields(shell, press_tab, call, tmp_path):
         "cassandra_bag ver": ["verify"],
         "cassandra_bag export --comp": ["--compression"],
         "cassandra_bag info /c": ["/cam/left"],
+        f"cassandra_bag verify {tmp_path} --parquet --topics /c": ["/cam/left"],
+        "cassandra_bag --comp": ["--completion"],
         "cassandra_bag index /tf d": ["data"],
         f"cassandra_bag verify {path} --topics /cam": ["/cam/left", "/cam/right"],
     }
@@ -73,4 +75,6 @@ def test_a_tab_runs_nothing_where_argcomplete_is_missing(monkeypatch, capsys):
 def test_how_it_is_switched_on_is_in_the_help(capsys):
     with pytest.raises(SystemExit):
         cassandra_bag.main(["--help"])
-    assert 'eval "$(rosrun cassandra_ros cassandra_bag completion bash)"' in capsys.readouterr().out
+    assert (
+        'eval "$(rosrun cassandra_ros cassandra_bag --completion bash)"' in capsys.readouterr().out
+    )

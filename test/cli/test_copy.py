@@ -47,20 +47,30 @@ def test_copies_topics_and_tells_of_each(call, filled, place):
 
 
 def test_the_books_are_shown_and_set_the_exit_status(call, filled, place):
-    status, out, _ = call("copies")
+    status, out, _ = call("copy", "--status")
     assert (status, out) == (
         1,
         "nothing was copied to another store; see 'cassandra_bag copy --help'\n",
     )
     assert call("copy", "/a", "--to", place, "-q") == (0, "", "")
-    status, out, _ = call("copies", "--json")
+    status, out, _ = call("copy", "--status", "--json")
     found = {each["topic"]: (each["copied"], each["waiting"]) for each in json.loads(out)}
     assert (status, found) == (1, {"/a": (5, 0), "/b": (0, 1)})
-    assert call("copies", "/a", "-q") == (0, "", "")
+    assert call("copy", "--status", "/a", "-q") == (0, "", "")
     assert call("copy", "--to", place, "-q")[0] == 0
-    status, out, _ = call("copies")
+    status, out, _ = call("copy", "--status")
     assert status == 0
     assert place in out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--to", "home"], ["--start", "5"], ["--rate", "2M"], ["--with-deletions"]],
+    ids=" ".join,
+)
+def test_status_goes_without_what_says_how_to_copy(call, words):
+    status, _, err = call("copy", "--status", *words)
+    assert (status, f"{words[0]} says how to copy" in err) == (2, True)
 
 
 def test_stores_are_compared(call, filled, place, connect):

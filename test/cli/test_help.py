@@ -64,7 +64,7 @@ def test_every_verb_that_answers_does_so_in_json_too():
         }
         for parser in parsers(cassandra_bag)[1:]
     }
-    silent = ["plot", "rename", "completion"]  # what is drawn, done or read by a shell
+    silent = ["plot", "rename"]  # what is drawn or done
     assert [verb for verb, known in options.items() if "--json" not in known] == silent
 
 

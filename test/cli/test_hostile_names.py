@@ -61,7 +61,7 @@ WORDS = [
     ["check"],
     ["delete", TOPIC, "--dry-run"],
     ["delete", "--run", f"run{EVIL}", "--yes"],
-    ["truncate", TOPIC, "--dry-run"],
+    ["delete", TOPIC, "--messages", "--dry-run"],
     ["convert", TOPIC, "--format", "json"],
     ["plot", TOPIC, "data", "-o", "/dev/null"],
     ["thumbs", TOPIC],

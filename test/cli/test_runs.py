@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""cassandra_bag runs and params, and --run of the others."""
+"""cassandra_bag runs, with the parameters of one, and --run of the others."""
 
 from __future__ import annotations
 
@@ -102,15 +102,18 @@ def test_export_query_and_verify_of_one_run(store, call, tmp_path):
 
 
 def test_parameters_are_printed_and_loaded(store, call, roscore, monkeypatch):
-    status, out, err = call("params", "corridor")
+    status, out, err = call("runs", "--params", "corridor")
     assert (status, err) == (0, "")
     found = yaml.safe_load(out)
     assert found["arm"] == PARAMS["arm"] and found["list"] == PARAMS["list"]
     assert (found["raw"], found["when"]) == (b"\x00\xff", datetime.datetime(2026, 1, 2, 3, 4, 5))
-    assert yaml.safe_load(call("params", "7", "--namespace", "/arm/gains")[1]) == {"p": 1.5, "i": 2}
-    found = json.loads(call("params", "corridor", "--json")[1])
+    assert yaml.safe_load(call("runs", "--params", "7", "--namespace", "/arm/gains")[1]) == {
+        "p": 1.5,
+        "i": 2,
+    }
+    found = json.loads(call("runs", "--params", "corridor", "--json")[1])
     assert (found["arm"]["gains"], found["raw"]) == ({"p": 1.5, "i": 2}, "AP8=")
-    graph = yaml.safe_load(call("params", "corridor", "--graph")[1])
+    graph = yaml.safe_load(call("runs", "--params", "corridor", "--graph")[1])
     assert graph["/laser"]["publishes"] == {"/scan": "sensor_msgs/LaserScan"}
     assert graph["/map"] == {
         "publishes": {},
@@ -122,7 +125,7 @@ def test_parameters_are_printed_and_loaded(store, call, roscore, monkeypatch):
     own = master.getParam("/run_id")
     master.setParam("/arm/other", "stays")
     try:
-        status, out, err = call("params", "corridor", "--load")
+        status, out, err = call("runs", "--params", "corridor", "--load")
         assert (status, err) == (0, "")
         assert out.startswith("6 parameters set\n")
         assert "/rosdistro, /run_id, /roslaunch/uris/host" in out
@@ -134,7 +137,7 @@ def test_parameters_are_printed_and_loaded(store, call, roscore, monkeypatch):
         )
         assert master.getParam("/run_id") == own
         master.deleteParam("/arm/gains")
-        out = call("params", "corridor", "--load", "--namespace", "arm/gains/p")[1]
+        out = call("runs", "--params", "corridor", "--load", "--namespace", "arm/gains/p")[1]
         assert out == "1 parameters set\n"
         assert master.getParam("/arm/gains") == {"p": 1.5}
     finally:
@@ -144,9 +147,12 @@ def test_parameters_are_printed_and_loaded(store, call, roscore, monkeypatch):
 
 
 def test_what_is_wrong_with_parameters(store, call, monkeypatch):
-    assert "only runs that were recorded live" in call("params", "yard")[2]
-    assert "did you mean corridor" in call("params", "coridor")[2]
-    assert "no parameter '/leg'" in call("params", "corridor", "--namespace", "/leg")[2]
+    assert "only runs that were recorded live" in call("runs", "--params", "yard")[2]
+    assert "did you mean corridor" in call("runs", "--params", "coridor")[2]
+    assert "no parameter '/leg'" in call("runs", "--params", "corridor", "--namespace", "/leg")[2]
+    for words in (["--load"], ["--graph"], ["--namespace", "/arm"]):
+        status, _, err = call("runs", *words)
+        assert (status, "go with --params RUN" in err) == (2, True)
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
-    status, _, err = call("params", "corridor", "--load")
+    status, _, err = call("runs", "--params", "corridor", "--load")
     assert (status, "start roscore" in err) == (1, True)

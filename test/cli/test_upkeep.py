@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""cassandra_bag rename, meta, truncate and keyspaces as they are typed."""
+"""cassandra_bag rename, meta, delete --messages and info --all as they are typed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_rename_meta_truncate_and_keyspaces(topics, call, monkeypatch, new_keyspace):
+def test_rename_and_meta(topics, call):
     assert call("rename", "cam/left", "/front") == (
         0,
         "topic /cam/left is called /front now\n",
@@ -54,31 +54,50 @@ def test_rename_meta_truncate_and_keyspaces(topics, call, monkeypatch, new_keysp
     assert (status, err.count("\n")) == (1, 1)
     assert call("meta", "/front", "site")[0] == 2
 
+
+def test_all_messages_are_deleted_and_the_topics_stay(topics, call, monkeypatch):
+    topics.getTopic("/cam/left").setMeta(lens=3.5)
+    assert call("delete", "--messages")[0] == 2
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    status, out, err = call("truncate", "/front")
+    status, out, err = call("delete", "/cam/left", "--messages")
     assert (status, out) == (1, "") and "--yes" in err
     for answer in ("\n", "n\n", ""):
         monkeypatch.setattr(sys, "stdin", Terminal(answer))
-        status, out, err = call("truncate", "-e", "/(front|cam/.*)")
-        assert (status, out) == (1, "") and "Remove all 6 messages of 2 topics in keyspace" in err
+        status, out, err = call("delete", "--messages", "-e", "/(cam/l.*|cam/.*)")
+        assert (status, out) == (1, "")
+        asked = f"Delete 6 messages of 2 topics in keyspace {topics.keyspace}, and keep the topics?"
+        assert asked in err
+        assert [line.split() for line in err.splitlines()[1:3]] == [
+            ["/cam/left", "3", "24", "B"],
+            ["/cam/right", "3", "24", "B"],
+        ]
         assert err.endswith("nothing was deleted\n")
-    status, out, err = call("truncate", "/front", "--dry-run")
-    assert (status, err) == (0, "") and "3 messages of 1 topic" in out
-    assert topics.getTopic("/front").countTopicData() == 3
+    status, out, err = call("delete", "/cam/left", "--messages", "--dry-run")
+    assert (status, err) == (0, "") and out.endswith("3 messages of 1 topic would be deleted\n")
+    assert topics.getTopic("/cam/left").countTopicData() == 3
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
-    assert json.loads(call("truncate", "/front", "--json")[1]) == {"removed": {"/front": 3}}
-    assert call("truncate", "/front", "-q", "--yes") == (0, "", "")
-    assert [topics.getTopic(n).countTopicData() for n in ("/front", "/cam/right")] == [0, 3]
-    assert topics.getTopic("/front").getMeta["lens"] == 3.5
+    answer = json.loads(call("delete", "/cam/left", "--messages", "--json")[1])
+    assert answer == {"deleted": {"/cam/left": 3}, "with_topics": False, "dry_run": False}
+    assert call("delete", "/cam/left", "--messages", "-q", "--yes") == (0, "", "")
+    names = ("/cam/left", "/cam/right")
+    assert [topics.getTopic(name).countTopicData() for name in names] == [0, 3]
+    assert topics.getTopic("/cam/left").getMeta["lens"] == 3.5
+    # With a choice of messages it says the same as without the option.
+    assert call("delete", "--messages", "--end", "1000000000.000000001", "-q", "-y") == (0, "", "")
+    assert topics.getTopic("/cam/right").countTopicData() == 1
 
-    status, out, err = call("keyspaces")
+
+def test_the_keyspaces_of_a_cluster(topics, call, new_keyspace):
+    status, out, err = call("info", "--all")
     assert (status, err) == (0, "")
     mine = next(line for line in out.splitlines() if line.startswith("*"))
     assert mine.split() == ["*", topics.keyspace, "2", "2", "datacenter1", "1"]
     # It needs no keyspace, and makes none.
-    found = {
-        each["name"]: each
-        for each in json.loads(call("keyspaces", "--json", keyspace=new_keyspace)[1])
-    }
     wanted = {"name": topics.keyspace, "topics": 2, "tables": 2, "copies": {"datacenter1": 1}}
-    assert found[topics.keyspace] == wanted and new_keyspace not in found
+    for form, read in (("--json", json.loads), ("--yaml", yaml.safe_load)):
+        answer = read(call("info", "--all", form, keyspace=new_keyspace)[1])
+        keyspaces = {keyspace["name"]: keyspace for keyspace in answer}
+        assert keyspaces[topics.keyspace] == wanted and new_keyspace not in keyspaces
+    for words in (["/cam/left"], ["--node-id", "r1"], ["--store", "home"], ["--run", "x"]):
+        status, _, err = call("info", "--all", *words)
+        assert (status, "--all lists keyspaces: it goes without" in err) == (2, True)

@@ -17,6 +17,7 @@ from cassandra_ros.cli import (
     replicator,
     viewer,
 )
+from cassandra_ros.cli.completion import PrintCompletion
 
 PROGRAMS = {
     module.__name__.rpartition(".")[2]: module
@@ -81,6 +82,8 @@ def test_an_option_given_twice_is_a_list_or_is_refused(words, parser, program, c
         if not action.option_strings or action.nargs == 0:
             continue
         option = action.option_strings[-1]
+        if isinstance(action, PrintCompletion):  # the first one ends the program
+            continue
         if isinstance(action, (argparse._AppendAction, argparse._ExtendAction)):
             assert option in LISTS
             continue
@@ -100,7 +103,6 @@ def test_an_option_given_twice_is_a_list_or_is_refused(words, parser, program, c
         ("cassandra_bag import f --topics A --topics B", "cassandra_bag import f --topics A B", ""),
         ("cassandra_bag export f --topics A --topics B", "cassandra_bag export f --topics A B", ""),
         ("cassandra_bag verify f --topics A --topics B", "cassandra_bag verify f --topics A B", ""),
-        ("cassandra_bag lake f --topics A --topics B", "cassandra_bag lake f --topics A B", ""),
         ("cassandra_bag size --topics A --topics B", "cassandra_bag size --topics A B", ""),
         (
             "cassandra_bag size --rates A:1 --rates B:2",

@@ -93,7 +93,7 @@ class _Robot:
         """Wait until by the books nothing waits any more."""
 
         def copied() -> bool:
-            verb = self._trial.verb("copies", *self._source, place=self.place)
+            verb = self._trial.verb("copy", "--status", *self._source, place=self.place)
             return verb.process.wait() == 0
 
         await_true("all is copied", copied, 900)
@@ -104,7 +104,7 @@ class _Robot:
 
     def copied(self) -> int:
         """Return how many messages of the robot's store home has, by the books."""
-        verb = self._trial.verb("copies", "--json", *self._source, place=self.place)
+        verb = self._trial.verb("copy", "--status", "--json", *self._source, place=self.place)
         verb.process.wait()
         return sum(each["copied"] for each in json.loads(verb.output))
 
@@ -112,7 +112,7 @@ class _Robot:
         """Wait until the reasons of refused topics contain some texts."""
 
         def refused() -> bool:
-            verb = self._trial.verb("copies", *self._source, place=self.place)
+            verb = self._trial.verb("copy", "--status", *self._source, place=self.place)
             verb.process.wait()
             return all(reason in verb.output for reason in reasons)
 
@@ -276,10 +276,10 @@ def topic_removed_at_robot(trial: Trial) -> None:
     """The topic is truncated and then deleted on the robot; what home had before stays there."""
     robot = _followed(trial)
     robot.compare = robot.only_more_at_home
-    for verb in ("truncate", "delete"):
+    for options in (["--messages"], []):
         # All that the books tell of is deleted here and stays there.
         before = robot.copied()
-        trial.removed_by(robot.done(verb, TOPIC, "--yes", "--json"))
+        trial.removed_by(robot.done("delete", TOPIC, *options, "--yes", "--json"))
         trial.removed_count -= before
         robot.await_copied()
 
@@ -290,8 +290,8 @@ def deletions_repeated(trial: Trial) -> None:
     robot.record()
     robot.follow("--with-deletions")
     robot.await_copied()
-    for verb in ("truncate", "delete"):
-        trial.removed_by(robot.done(verb, TOPIC, "--yes", "--json"))
+    for options in (["--messages"], []):
+        trial.removed_by(robot.done("delete", TOPIC, *options, "--yes", "--json"))
         robot.await_copied()
     robot.compare = robot.await_equal
 
@@ -300,8 +300,8 @@ def topic_removed_at_home(trial: Trial) -> None:
     """The topic is truncated and then deleted at home; verify --repair copies it again."""
     robot = _followed(trial)
     robot.compare = robot.repair
-    for verb in ("truncate", "delete"):
-        trial.done(verb, TOPIC, "--yes")
+    for options in (["--messages"], []):
+        trial.done("delete", TOPIC, *options, "--yes")
         robot.await_copied()
 
 

@@ -128,7 +128,7 @@ def roscore_killed(trial: Trial) -> None:
 
 def truncated(trial: Trial) -> None:
     """The topic is truncated while it is recorded."""
-    _removed(trial, "truncate", TOPIC, "--yes", "--json")
+    _removed(trial, "delete", TOPIC, "--messages", "--yes", "--json")
 
 
 def messages_deleted(trial: Trial) -> None:

@@ -205,7 +205,7 @@ class Trial:
     def removed_by(self, output: str) -> None:
         """Note how many messages a verb with --json says that it has deleted."""
         answer, _ = json.JSONDecoder().raw_decode(output, output.index("{"))
-        self.removed_count += sum(answer.get("removed", answer.get("deleted", {})).values())
+        self.removed_count += sum(answer["deleted"].values())
 
     def bag(self, topics: int = 4) -> Path:
         """Write a bag of all messages, and its log."""

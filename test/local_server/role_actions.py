@@ -169,11 +169,11 @@ class User:
             return str(exc)
         return None
 
-    def verb(self, *words, logs_in=True):
+    def verb(self, *words):
         """Run cassandra_bag as this user; return what it prints."""
         out, err = io.StringIO(), io.StringIO()
-        login = self.fleet.login(self.role) if logs_in else []
-        if login and "--keyspace" in words:
+        login = self.fleet.login(self.role)
+        if "--keyspace" in words:
             place = login.index("--keyspace")
             del login[place : place + 2]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -294,13 +294,17 @@ class User:
 VERBS = {
     "list": lambda user: user.verb("list"),
     "info": lambda user: user.verb("info"),
+    "info --all": lambda user: user.verb("info", "--all"),
     "runs": lambda user: user.verb("runs"),
-    "params": lambda user: user.verb("params", user.fleet.run),
+    "runs --params": lambda user: user.verb("runs", "--params", user.fleet.run),
     "import, into a stored topic": lambda user: user.verb("import", "-q", user.fleet.bag),
     "import, of a new topic": lambda user: user.verb(
         "import", "-q", user.fleet.write_bag(f"/new{next(_numbers)}")
     ),
     "export": lambda user: user.verb("export", "-q", user.file("bag"), "--topics", "/a"),
+    "export --parquet": lambda user: user.verb(
+        "export", "-q", user.file("lake"), "--parquet", "--topics", "/a"
+    ),
     "verify": lambda user: user.verb("verify", user.fleet.bag),
     "verify --with": lambda user: user.verb(
         "verify", "--topics", "/a", "--with", *user.fleet.copied_to()
@@ -312,7 +316,6 @@ VERBS = {
     "query TRUNCATE": lambda user: change(user, f"truncate {user.topic()}"),
     "query CREATE INDEX": lambda user: change(user, f"create index on {user.topic()} (data)"),
     "sql": lambda user: user.verb("sql", "select count(data) from a"),
-    "lake": lambda user: user.verb("lake", user.file("lake"), "--topics", "/a"),
     "plot": lambda user: user.verb("plot", "-o", user.file("png"), "select range_max from scan"),
     "thumbs": lambda user: user.verb("thumbs", "/image", "-o", user.file("png")),
     "cat": lambda user: user.verb("cat", "/a"),
@@ -327,7 +330,7 @@ VERBS = {
         "convert", "-q", user.left_topic(), "--format", "binary"
     ),
     "copy": lambda user: user.verb("copy", "-q", user.topic(), "--to", *user.fleet.copied_to()),
-    "copies": lambda user: user.fleet.copied_to() and user.verb("copies", "/a"),
+    "copy --status": lambda user: user.fleet.copied_to() and user.verb("copy", "--status", "/a"),
     "spool list": lambda user: spool(user, "list"),
     "spool drain": lambda user: spool(user, "drain"),
     "spool export": lambda user: spool(user, "export"),
@@ -347,20 +350,20 @@ VERBS = {
     "delete, of a topic of one's own": lambda user: user.verb("delete", "-qy", user.own_topic()),
     "delete, of another's topic": lambda user: user.verb("delete", "-qy", user.left_topic()),
     "delete --dry-run": lambda user: user.verb("delete", "--dry-run", user.topic()),
-    "truncate, of a topic of one's own": lambda user: user.verb(
-        "truncate", "-qy", user.own_topic()
+    "delete --messages, of a topic of one's own": lambda user: user.verb(
+        "delete", "--messages", "-qy", user.own_topic()
     ),
-    "truncate, of another's topic": lambda user: user.verb("truncate", "-qy", user.left_topic()),
+    "delete --messages, of another's topic": lambda user: user.verb(
+        "delete", "--messages", "-qy", user.left_topic()
+    ),
     "retention": lambda user: user.verb("retention", "-qy", user.topic(), "--max-age", "1d"),
     "retention --dry-run": lambda user: user.verb(
         "retention", "--dry-run", "/a", "--max-age", "1d"
     ),
     "size": lambda user: user.verb("size"),
     "size FILE.bag": lambda user: user.verb("size", user.fleet.bag),
-    "keyspaces": lambda user: user.verb("keyspaces"),
     "roles": lambda user: user.verb("roles"),
     "roles --apply": lambda user: user.verb("roles", "--apply"),
-    "completion": lambda user: user.verb("completion", "bash", logs_in=False),
     "import, into a new keyspace": lambda user: user.verb(
         "import", "-q", user.fleet.bag, "--keyspace", f"new{next(_numbers)}"
     ),

@@ -212,12 +212,27 @@ def test_the_verb_writes_and_compares(rosCas, cassandra, tmp_path, capsys):
     rosCas.addTopic("/named", key_format="manual").addData(String("x"), key="kitchen")
     where = ["--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", rosCas.keyspace]
     folder = str(tmp_path / "a")
-    assert cassandra_bag.main(["lake", folder, *where]) == 0
+    assert cassandra_bag.main(["export", folder, "--parquet", *where]) == 0
     out, err = capsys.readouterr()
     assert "2 files written, 0 unchanged" in out and "/named is left out" in err
-    assert cassandra_bag.main(["lake", folder, "--verify", "--json", *where]) == 0
+    assert cassandra_bag.main(["verify", folder, "--parquet", "--json", *where]) == 0
     assert json.loads(capsys.readouterr().out)["files"] == 2
     next(path for path in (tmp_path / "a").rglob("*.parquet")).unlink()
-    assert cassandra_bag.main(["lake", folder, "--verify", *where]) == 1
+    assert cassandra_bag.main(["verify", folder, "--parquet", *where]) == 1
+    capsys.readouterr()
+    for line, text in {
+        ("export", folder): "is a folder: give OUT.bag, or --parquet",
+        ("export", folder, "--parquet", "--start", "5"): "it goes without --start",
+        ("export", folder, "--parquet", "--no-latched"): "it goes without --no-latched",
+        ("export", folder, "--parquet", "--lz4"): "it goes without --lz4",
+        ("export", folder, "--parquet", "--store", "home"): "it goes without --store",
+        ("verify", folder, "--parquet", "--content"): "it goes without --content",
+        ("verify", folder, "--parquet", "--with", "home"): "give FILE.bag, or --with",
+        ("verify", "--parquet", "--with", "home"): "it goes without --with",
+        ("verify", "--parquet"): "give FILE.bag",
+    }.items():
+        with pytest.raises(SystemExit) as ended:
+            cassandra_bag.main([*line, *where])
+        assert (ended.value.code, text in capsys.readouterr().err) == (2, True), line
     with pytest.raises(TopicNotFound):
         Lake(rosCas.catalog, folder, ["/nothing"])

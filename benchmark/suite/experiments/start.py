@@ -91,7 +91,7 @@ def _programs(context: Context) -> None:
         "cassandra_bag --help": [*bag, "--help"],
         "recorder --help": [PROGRAMS / "recorder", "--help"],
         "rosbag info": ["rosbag", "info", SMALL_BAG],
-        "cassandra_bag keyspaces": [*bag, "keyspaces", *here[:4]],
+        "cassandra_bag info --all": [*bag, "info", "--all", *here[:4]],
         "cassandra_bag info": [*bag, "info", *here],
         "cassandra_bag query": [*bag, "query", statement, *here],
     }

@@ -3,7 +3,7 @@
 """Completion with the Tab key: verbs, options, and topics, fields, runs and robots of the store.
 
 The shell runs a program with an environment variable set, and argcomplete prints the candidates.
-'cassandra_bag completion' prints the shell code that does so.
+'cassandra_bag --completion' prints the shell code that does so.
 """
 
 from __future__ import annotations
@@ -75,8 +75,10 @@ def _topics(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str
 
 
 def _topics_of_files(options: argparse.Namespace) -> list[str] | None:
-    """Return the topics of the files of import or verify; None for all other verbs."""
+    """Return the topics of the files of import or verify; None for a folder, and other verbs."""
     if getattr(options, "verb", "") not in ("import", "verify"):
+        return None
+    if getattr(options, "parquet", False):
         return None
     from cassandra_ros.files.bag.file_formats import open_file
 

@@ -3,8 +3,11 @@
 """List, describe, query, index and convert stored topics; list runs; import, export, verify bags.
 
 'cassandra_bag VERB --help' explains a verb. After this line, for example in ~/.bashrc, the Tab key
-completes verbs, options, topics and fields (for zsh: completion zsh):
-  eval "$(rosrun cassandra_ros cassandra_bag completion bash)"
+completes verbs, options, topics and fields (for zsh: --completion zsh, after compinit):
+  eval "$(rosrun cassandra_ros cassandra_bag --completion bash)"
+Topics, fields, runs and robots come from the store that the options typed so far, the environment
+and the cqlshrc name; for import and verify, topics come from the files. The Python package
+argcomplete, of requirements.txt, is needed.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import sys
 from typing import Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
+from cassandra_ros.cli.completion import add_completion_option
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import error_line, verbs_parser
 from cassandra_ros.cli.verbs import VERBS
@@ -32,7 +36,9 @@ def make_parser() -> argparse.ArgumentParser:
     def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
         VERBS[name].add_arguments(parser)
 
-    return verbs_parser(PROGRAM, __doc__, VERBS, add_arguments, _STORE_MISSING)
+    parser = verbs_parser(PROGRAM, __doc__, VERBS, add_arguments, _STORE_MISSING)
+    add_completion_option(parser)
+    return parser
 
 
 class _ErrorLines(logging.Formatter):

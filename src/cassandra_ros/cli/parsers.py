@@ -98,6 +98,19 @@ class Parser(argparse.ArgumentParser):
             hint = f"; what begins with - and is no option goes after --, as in: -- {word}"
         self.error(f"unrecognized arguments: {word}{hint}")
 
+    def refuse(self, options: argparse.Namespace, dests: Sequence[str], text: str) -> None:
+        """End the program if the command line gave one of some options or words.
+
+        Args:
+            dests: The attributes of ``options`` with their values.
+            text: What is wrong with it; {} stands for the option as it was typed.
+        """
+        for action in self._actions:
+            value = getattr(options, action.dest, None)
+            if action.dest in dests and value not in (action.default, []):
+                name = action.option_strings[-1] if action.option_strings else action.metavar
+                self.error(text.format(self.given.get(action.dest) or name))
+
     def error(self, message: str) -> NoReturn:
         """Print the usage and the error, and end the program with status 2."""
         self.print_usage(sys.stderr)

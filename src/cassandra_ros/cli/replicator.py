@@ -6,8 +6,8 @@
 
 What is recorded is copied within 10 s. While the other store is away, messages wait in the store of
 the robot; afterwards the copy goes on where it was, small topics first, or in the order of the
-rules. 'cassandra_bag copy --help' says what is copied, and 'cassandra_bag copies' shows what the
-other store has. The node is called replicator, with services ~status, ~pause and ~resume if
+rules. 'cassandra_bag copy --help' says what is copied, and 'cassandra_bag copy --status' shows what
+the other store has. The node is called replicator, with services ~status, ~pause and ~resume if
 --no-services does not close them, and says how it is on /diagnostics. Its parameters ~to, ~rules,
 ~rate, ~max_size, ~to_cqlshrc, ~to_credentials, ~no_services, ~host, ~port, ~keyspace, ~cqlshrc and
 ~credentials set the options of the same names that are missing on the command line.

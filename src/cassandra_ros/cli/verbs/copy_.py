@@ -5,6 +5,7 @@
   cassandra_bag copy --to home
   cassandra_bag copy /scan /tf --to home:9042/fleet --node-id husky --format packed
   cassandra_bag copy --to home --rate 2M --to-cqlshrc ~/.cassandra/home
+  cassandra_bag copy --status
 
 Messages keep their place: robot, run, times, order, connection and key. So a copy that was
 interrupted or killed, repeated, or made twice at once ends in the same messages, and the copy of a
@@ -13,10 +14,13 @@ connections, definitions, runs with labels, parameters and graph, losses, metada
 of messages with names. Messages that expire keep their remaining time.
 
 The store that is copied keeps books of what the other one has acknowledged; the next copy sends
-only what is new or changed since, and 'cassandra_bag copies' shows them. So its user must be able
-to write here too. A topic that has another type or key there is not copied; the others are. In a
-time range whole blocks are copied. What was deleted here stays there, unless --with-deletions is
-given.
+only what is new or changed since. So its user must be able to write here too. A topic that has
+another type or key there is not copied; the others are. In a time range whole blocks are copied.
+What was deleted here stays there, unless --with-deletions is given.
+
+--status copies nothing: it shows, by the books, what other stores have of each topic, and does not
+ask them. Messages count as copied when the other store has acknowledged them. The exit status is 0
+if they have all, 1 if messages wait, if a topic was refused, or if nothing was ever copied.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
@@ -41,6 +46,13 @@ from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.printable import shown
+
+if TYPE_CHECKING:
+    from cassandra_ros.stores.copying.copy_status import TopicStatus
+
+_HOW = ["start", "end", "node_id", "run", "format", "rules", "with_deletions", "rate", "target"]
+_HOW += ["to_cqlshrc", "to_credentials"]
+"""Options of what and how to copy."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=byte_size,
         help="maximum number of bytes sent in a second: 2M, 500k (default: no limit)",
     )
+    add("--status", action="store_true", help="show what other stores have; copy nothing")
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
     add_json_option(parser)
     add_target_options(parser, "--to", "the store to which topics are copied")
@@ -74,6 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Copy, and print what was copied of each topic."""
+    if options.status:
+        return _tell_status(options)
     if options.target is None:
         options.parser.error("say where to copy: --to HOST[:PORT][/KEYSPACE]")
     from cassandra_ros.stores.copying.replicator import Replicator
@@ -132,3 +147,41 @@ def run(options: argparse.Namespace) -> int:
         what = f"{counted(report.messages, 'message')} copied to {shown(report.place)}"
         print(f"{what} ({time.monotonic() - begun:.1f} s)")
     return 0 if report.complete else 1
+
+
+def _tell_status(options: argparse.Namespace) -> int:
+    """Print a table by target and topic of what is copied."""
+    from cassandra_ros.stores.copying.copy_status import copy_status
+
+    options.parser.refuse(options, _HOW, "{} says how to copy, and --status copies nothing")
+    with open_store(options) as ros_cas:
+        statuses = copy_status(ros_cas.catalog, stored_topics(ros_cas.catalog, options))
+    if options.json:
+        print_json(statuses)
+    elif not options.quiet:
+        _print_statuses(statuses)
+    whole = statuses and not any(status.waiting or status.refused for status in statuses)
+    return 0 if whole else 1
+
+
+def _print_statuses(statuses: list[TopicStatus]) -> None:
+    if not statuses:
+        print("nothing was copied to another store; see 'cassandra_bag copy --help'")
+        return
+    numbers = ("copied", "left out", "waiting", "size", "seconds")
+    rows = [
+        (
+            shown(status.target),
+            shown(status.topic),
+            str(status.copied),
+            str(status.left_out),
+            str(status.waiting),
+            format_bytes(status.waiting_bytes),
+            f"{status.waiting_sec:.1f}",
+        )
+        for status in statuses
+    ]
+    print(format_table(("to", "topic", *numbers), rows, right=numbers))
+    for status in statuses:
+        if status.refused:
+            print(f"refused: {shown(' '.join(status.refused.split()), None)}")

@@ -1,15 +1,19 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Delete topics, or messages by time, robot, run or condition.
+"""Delete topics, all their messages, or messages by time, robot, run or condition.
 
   cassandra_bag delete /camera/image_raw                      the topic with all its messages
+  cassandra_bag delete /camera/image_raw --messages           its messages; the topic stays
   cassandra_bag delete --run test_drive                       all that a recording stored
   cassandra_bag delete -e '/camera/.*' --end 2013-05-08T14:06:30Z
   cassandra_bag delete --where '/cmd_vel: linear.x = 0' --start 1368021980
 
-Without --start, --end, --event, --node-id, --run and --where the topics themselves are deleted,
-including their metadata; with any of these options only messages. Events stay. With --where only
-messages of topics that have a condition are deleted. A run without messages is not listed any more.
+Without --messages, --start, --end, --event, --node-id, --run and --where the topics themselves are
+deleted, including their metadata; with any of these options only messages. --messages deletes all
+messages of the topics, which keep their format, metadata, indexes and ttl; it works while nodes of
+the cluster are down, and frees the disk at once. With --where only messages of topics that have a
+condition are deleted. Events stay. A run without messages is not listed any more.
+
 The command prints how much it will delete, and asks first; --dry-run only prints it. You cannot
 undo it, but importing the same bag stores its messages again.
 """
@@ -18,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
@@ -31,7 +36,7 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.terminal_text import counted, format_table
+from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.printable import shown
@@ -40,9 +45,20 @@ if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
 
+@dataclass
+class _Amount:
+    """What is deleted of a topic."""
+
+    messages: int = 0
+    bytes: int | None = None
+    """Size of all its messages, bytes; None = a part of them is deleted, whose size is unknown."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, which of their messages, whether it is asked, and the store."""
     add_topics(parser, "the topics, or the topics of the messages (default: all topics)")
+    text = "delete all messages of the topics, and keep the topics themselves"
+    parser.add_argument("--messages", action="store_true", help=text)
     add_message_options(parser)
     add_dry_run_option(parser)
     add_yes_option(parser)
@@ -62,61 +78,86 @@ def run(options: argparse.Namespace) -> int:
         "where": read_where(options) or None,
         "event": read_event(options),
     }
-    whole = not any(value is not None for value in selected.values())
-    if whole and not options.topics:
+    of_whole_topics = not any(value is not None for value in selected.values())
+    with_topics = of_whole_topics and not options.messages
+    if of_whole_topics and not options.topics:
         options.parser.error("name topics, times, an event, a node, a run or a condition")
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas.catalog, options)
 
-        def delete(dry_run: bool) -> dict[str, int]:
-            if whole:
-                return _remove(ros_cas, topics or [], dry_run)
-            return ros_cas.upkeep.delete(topics, **selected, dry_run=dry_run)
+        def delete(dry_run: bool) -> dict[str, _Amount]:
+            if of_whole_topics:
+                return _delete_all(ros_cas, topics or [], with_topics, dry_run)
+            counts = ros_cas.upkeep.delete(topics, **selected, dry_run=dry_run)
+            return {name: _Amount(count) for name, count in counts.items()}
 
-        counts = delete(dry_run=True) if options.dry_run or not options.yes else {}
+        amounts = delete(dry_run=True) if options.dry_run or not options.yes else {}
         if not options.dry_run:
-            if not options.yes and (whole or any(counts.values())):
-                confirm(f"Delete {_sum(counts, whole)}?", _table(counts))
-            counts = delete(dry_run=False)
+            if not options.yes and (of_whole_topics or _count(amounts)):
+                question = f"Delete {_sum(amounts, with_topics)}"
+                if of_whole_topics and not with_topics:
+                    question += f" in keyspace {options.keyspace}, and keep the topics"
+                confirm(f"{question}?", _table(amounts))
+            amounts = delete(dry_run=False)
     if options.json:
-        print_json({"deleted": counts, "with_topics": whole, "dry_run": options.dry_run})
+        counts = {name: amount.messages for name, amount in amounts.items()}
+        print_json({"deleted": counts, "with_topics": with_topics, "dry_run": options.dry_run})
     elif not options.quiet:
-        if any(counts.values()):
-            print(_table(counts))
-        print(f"{_sum(counts, whole)} {'would be' if options.dry_run else 'are'} deleted")
+        if _count(amounts):
+            print(_table(amounts))
+        print(f"{_sum(amounts, with_topics)} {'would be' if options.dry_run else 'are'} deleted")
     return 0
 
 
-def _remove(ros_cas: RosCassandra, topics: list[str], dry_run: bool) -> dict[str, int]:
-    """Remove topics with all their messages; return the number of messages by topic.
+def _delete_all(
+    ros_cas: RosCassandra, topics: list[str], with_topics: bool, dry_run: bool
+) -> dict[str, _Amount]:
+    """Delete all messages of topics, and perhaps the topics; return how much that is, by topic.
 
     A topic that is being recorded would be created again at once, so only its messages are deleted.
     """
-    counts = dict.fromkeys(topics, 0)
+    amounts = {}
     unreadable = set()
     for name in topics:
         try:
-            counts[name] = sum(info.count for info in ros_cas.info([name]))
+            infos = ros_cas.info([name])
+            size = sum(info.bytes for info in infos)
+            amounts[name] = _Amount(sum(info.count for info in infos), size)
         except DefinitionError:  # it can still be removed
             unreadable.add(name)
+            amounts[name] = _Amount()
     for name in [] if dry_run else topics:
-        if name not in unreadable and ros_cas.upkeep.isWritten(name):
-            counts[name] = ros_cas.truncateTopic(name)
+        stays = not with_topics
+        if with_topics and name not in unreadable and ros_cas.upkeep.isWritten(name):
+            stays = True
             text = f"topic {shown(name)} is being recorded: it stays, with what comes from now on"
             print(error_line("cassandra_bag", text), file=sys.stderr)
-        else:
-            counts[name] = ros_cas.removeTopic(name) or counts[name]
-    return counts
+        remove = ros_cas.truncateTopic if stays else ros_cas.removeTopic
+        amounts[name].messages = remove(name) or amounts[name].messages
+    return amounts
 
 
-def _sum(counts: dict[str, int], whole: bool) -> str:
-    count = sum(counts.values())
-    if whole:
-        return f"{counted(len(counts), 'topic')} with their {counted(count, 'message')}"
-    topics = sum(1 for messages in counts.values() if messages)
-    return f"{counted(count, 'message')} of {counted(topics, 'topic')}"
+def _sum(amounts: dict[str, _Amount], with_topics: bool) -> str:
+    messages = counted(_count(amounts), "message")
+    if with_topics:
+        return f"{counted(len(amounts), 'topic')} with their {messages}"
+    topics = sum(1 for amount in amounts.values() if amount.messages)
+    return f"{messages} of {counted(topics, 'topic')}"
 
 
-def _table(counts: dict[str, int]) -> str:
-    rows = [(shown(topic), str(count)) for topic, count in sorted(counts.items()) if count]
-    return format_table(("topic", "messages"), rows, right=("messages",)) if rows else ""
+def _count(amounts: dict[str, _Amount]) -> int:
+    return sum(amount.messages for amount in amounts.values())
+
+
+def _table(amounts: dict[str, _Amount]) -> str:
+    """Return a table of the topics that lose messages; '' = none does."""
+    filled = {name: amount for name, amount in sorted(amounts.items()) if amount.messages}
+    header, rows = (
+        ["topic", "messages"],
+        [[shown(name), str(filled[name].messages)] for name in filled],
+    )
+    if any(amount.bytes is not None for amount in filled.values()):
+        header.append("size")
+        for row, amount in zip(rows, filled.values()):
+            row.append("-" if amount.bytes is None else format_bytes(amount.bytes))
+    return format_table(header, rows, right=("messages", "size")) if rows else ""

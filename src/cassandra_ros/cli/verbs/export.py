@@ -1,11 +1,16 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Write stored messages into a bag of format 2.0, or into an MCAP if OUT ends with .mcap.
+"""Write stored messages into a bag of format 2.0, an MCAP, or a folder of Parquet files.
 
-The messages are written in the order of their times. Connections keep topic, header and number, so
-the messages of an imported bag keep their order. Times are seconds (1368021980 or 1368021980.25),
-ISO 8601 (UTC unless a zone is given), or nanoseconds (13 digits or more). If there are no messages,
-no bag is written, and an existing one is kept.
+  cassandra_bag export corridor.bag --run corridor
+  cassandra_bag export scans.mcap --topics /scan /tf --start 2013-05-08T14:06:20Z
+  cassandra_bag export ~/lake --parquet
+
+It is an MCAP if OUT ends with .mcap. The messages are written in the order of their times.
+Connections keep topic, header and number, so the messages of an imported bag keep their order.
+Times are seconds (1368021980 or 1368021980.25), ISO 8601 (UTC unless a zone is given), or
+nanoseconds (13 digits or more). If there are no messages, no bag is written, and an existing one is
+kept.
 
 With --event NAME only the time ranges of these events are exported, each event's robot alone.
 
@@ -23,11 +28,19 @@ for latched messages are only found in one store.
 
 An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. Each publisher of a topic
 is a channel, whose metadata hold the connection header. cassandra_bag import restores all of it.
+
+With --parquet OUT is a folder of Parquet files, for DuckDB, Spark, pandas and polars: one for each
+topic, day (UTC) and robot, as OUT/imu%2Fdata/day=2020-09-13/robot=r1/messages.parquet. Its columns
+are those of SQL (doc/sql.md): KEY, NODE, RUN and the fields, messages as structs. A second run
+writes only the files whose messages have changed; each takes the place of the old one when it is
+complete. Files of messages that the store deleted are kept. 'cassandra_bag verify OUT --parquet'
+compares the files with the store.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from typing import TYPE_CHECKING
 
@@ -41,6 +54,7 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
+from cassandra_ros.cli.parquet_folder import write_folder
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, topics_among
 from cassandra_ros.printable import shown
@@ -56,11 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bag",
         nargs="?",
         metavar="OUT.bag",
-        help="the bag to write; OUT.mcap writes an MCAP (default: the file of -o)",
+        help="the bag to write; OUT.mcap writes an MCAP; with --parquet a folder, which is made if "
+        "it is missing (default: the file of -o)",
     )
     text = "the bag to write, as an option, which may stand anywhere (default: OUT.bag)"
     add("-o", "--output", metavar="OUT.bag", help=text)
     add_topics_option(parser, "OUT.bag, or with -o anywhere")
+    text = "write whole topics as Parquet files, in the folder OUT"
+    add("--parquet", action="store_true", help=text)
     add_message_options(parser)
     add(
         "--no-latched",
@@ -96,6 +113,10 @@ def run(options: argparse.Namespace) -> int:
     where, (start, end) = read_where(options), read_times(options)
     event = read_event(options)
     path, begun = _path(options), time.monotonic()
+    if options.parquet:
+        return write_folder(options, path)
+    if os.path.isdir(path):
+        options.parser.error(f"{path} is a folder: give OUT.bag, or --parquet")
     if options.stores:
         return _export_fleet(options, path, begun)
     with open_store(options) as ros_cas, MessageBar(f"exporting {path}") as bar:

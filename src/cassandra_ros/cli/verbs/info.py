@@ -5,6 +5,7 @@
   cassandra_bag info
   cassandra_bag info /tf -e '/camera/.*'
   cassandra_bag info -y -k duration
+  cassandra_bag info --all
 
 A topic has a line for each type, format and robot. All numbers come from the directory, so the
 command takes as long for a hundred million messages as for a thousand. Times are receive times in
@@ -26,6 +27,10 @@ rosbag), which are computed from its first 10,000 messages, and the mean rate, r
 With --store, given once or several times, the topics of all these stores are listed as one: each
 message counts once, and the last column says how many each store has. If several stores have
 messages of a robot in a topic, the keys of all of these are read.
+
+With --all the keyspaces of the cluster that hold topics are listed, with their numbers of topics
+and copies. Copies are the numbers of Cassandra nodes, by data centre, that keep each row: with one
+copy, data are lost when a node is lost. A star marks the keyspace that --keyspace selects.
 """
 
 from __future__ import annotations
@@ -112,6 +117,8 @@ class _Description:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, the form of the output and the store."""
     add_topics(parser)
+    text = "list the keyspaces of the cluster that hold topics, in place of the topics of one"
+    parser.add_argument("--all", action="store_true", help=text)
     add_origin_options(parser)
     form = parser.add_mutually_exclusive_group()
     form.add_argument("-y", "--yaml", action="store_true", help="print information in YAML format")
@@ -128,6 +135,8 @@ def run(options: argparse.Namespace) -> int:
     """Print the description."""
     if options.key is not None and not (options.yaml or options.json):
         options.parser.error("-k goes with -y or --json")
+    if options.all:
+        return _tell_keyspaces(options)
     if options.stores:
         return _tell_fleet(options)
     description = _find(options)
@@ -155,6 +164,34 @@ def run(options: argparse.Namespace) -> int:
         print(format_table(columns, rows, right=("messages", "lost")))
         if len(description.runs) > _RUNS_SHOWN:
             print(f"… and {len(description.runs) - _RUNS_SHOWN} earlier ones")
+    return 0
+
+
+def _tell_keyspaces(options: argparse.Namespace) -> int:
+    """Print a line for each keyspace with topics; that of --keyspace may be missing."""
+    refused = ("topics", "node_id", "run", "key", "stores")
+    options.parser.refuse(options, refused, "--all lists keyspaces: it goes without {}")
+    with open_store(options, make=True) as ros_cas:
+        keyspaces = ros_cas.getKeyspaces()
+    if options.json:
+        print_json(keyspaces)
+    elif options.yaml:
+        _print_yaml(list(map(asdict, keyspaces)))
+    elif keyspaces:
+        header = ("", "keyspace", "topics", "tables", "copies")
+        rows = [
+            (
+                "*" if keyspace.name == options.keyspace else "",
+                keyspace.name,
+                str(keyspace.topics),
+                str(keyspace.tables),
+                ", ".join(f"{where} {count}" for where, count in keyspace.copies.items()),
+            )
+            for keyspace in keyspaces
+        ]
+        print(format_table(header, rows, right=("topics", "tables")))
+    else:
+        print("no keyspace of the cluster holds topics; a recording or an import makes one")
     return 0
 
 

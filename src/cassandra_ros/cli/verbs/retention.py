@@ -72,9 +72,9 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
     add(
         "--copied",
         choices=("first", "only"),
-        help="with --max-size alone: delete what another store has acknowledged, as 'copies' says, "
-        "bucket by bucket, oldest first; first: then the rest too, as losses; only: nothing else "
-        "(default: the oldest, copied or not)",
+        help="with --max-size alone: delete what another store has acknowledged (see copy "
+        "--status), bucket by bucket, oldest first; first: then the rest too, as losses; only: "
+        "nothing else (default: the oldest, copied or not)",
     )
     text = "keep at most HZ messages per second of each publisher (default: keep all)"
     add("--thin", metavar="HZ", type=factor, help=text)

@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compare a file or another store with the store, by message; exit status 0 only if equal.
+"""Compare files or another store with the store, by message; exit status 0 only if equal.
+
+  cassandra_bag verify corridor.bag
+  cassandra_bag verify ~/lake --parquet
+  cassandra_bag verify --with home
 
 Topic, time, type, md5sum, bytes, connection header and order are compared, as rosbag reads them. If
 the store holds an import of this bag, only the messages of that import are compared, so other bags
@@ -23,6 +27,10 @@ those that another store has of the same robots and runs, bucket by bucket, and 
 differ are named. Both stores are read from here; of blocks that are stored alike only the headers,
 which have checksums. --repair copies the topics again, whatever the books say. What is only in the
 other store stays there.
+
+With --parquet FILE is a folder of Parquet files that 'cassandra_bag export' wrote: numbers of
+messages, and a digest of all values, are compared (needs DuckDB). A file whose messages were
+deleted from the store differs.
 """
 
 from __future__ import annotations
@@ -43,6 +51,7 @@ from cassandra_ros.cli.options import (
     read_pairs,
     read_times,
 )
+from cassandra_ros.cli.parquet_folder import compare_folder
 from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_time
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
@@ -63,6 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a bag of format 2.0, or an MCAP of ROS 1 (default: the store of --with)",
     )
     add_topics_option(parser, "FILE.bag")
+    text = "FILE is a folder of Parquet files that export has written"
+    add("--parquet", action="store_true", help=text)
     add_origin_options(parser)
     add("--content", action="store_true", help="compare only the content, see above")
     add(
@@ -92,6 +103,8 @@ def run(options: argparse.Namespace) -> int:
     """Compare, and print the first differences."""
     if (options.bag is None) == (options.target is None):
         options.parser.error("give FILE.bag, or --with another store")
+    if options.parquet:
+        return compare_folder(options, options.bag)
     if options.target is not None:
         return _compare_stores(options)
     if options.repair:

@@ -78,7 +78,7 @@ def topic(
     if sys.version_info >= _TOO_NEW:
         raise MissingDependency(
             "cassandra_ros.client.spark needs PySpark 3.5, which needs Python 3.8 to 3.11; with "
-            f"this Python ({sys.executable}) use sql, toArrow or cassandra_bag lake"
+            f"this Python ({sys.executable}) use sql, toArrow or 'cassandra_bag export --parquet'"
         )
     optional_module("pyspark", "cassandra_ros.client.spark")
     frames = optional_module("pyspark.sql.pandas.types", "cassandra_ros.client.spark")

@@ -118,7 +118,7 @@ class DuckDatabase:
         if sys.version_info < _OLDEST:
             raise MissingDependency(
                 "sql needs DuckDB 2, which needs Python 3.11 or later: ask from a machine that "
-                "has it, or use executeCQL, toArrow or cassandra_bag lake here"
+                "has it, or use executeCQL, toArrow or 'cassandra_bag export --parquet' here"
             )
         self.duckdb: Any = optional_module("duckdb", "sql")
         self._folder = SpillFolder(folder)

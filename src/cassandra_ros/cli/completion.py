@@ -1,16 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Print shell code with which bash or zsh complete verbs, options, topics, fields, runs and robots.
-
-  eval "$(rosrun cassandra_ros cassandra_bag completion bash)"     # a line for ~/.bashrc
-  eval "$(rosrun cassandra_ros cassandra_bag completion zsh)"      # ~/.zshrc, after compinit
-
-Put the line after the one that sources the workspace. You can then type cassandra_bag without
-rosrun, and the Tab key completes it. Topics, fields, runs and robots come from the store that the
-options typed so far, the environment and the cqlshrc name; for import and verify, topics come from
-the files. In bash this also works for all programs of the package after rosrun. It needs the Python
-package argcomplete, of requirements/runtime.txt.
-"""
+"""The shell code by which bash and zsh complete what is typed; `candidates` answers them."""
 
 from __future__ import annotations
 
@@ -52,14 +42,29 @@ complete -o default -F _cassandra_ros_rosrun rosrun
 _SHELLS = {"bash": _ASK + _ROSRUN, "zsh": "autoload -U +X bashcompinit && bashcompinit\n" + _ASK}
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the shell."""
-    parser.add_argument("shell", choices=sorted(_SHELLS), help="your shell")
+class PrintCompletion(argparse.Action):
+    """Print the code for a shell, which runs this very program for the candidates, and exit."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        """Print it; argparse calls this."""
+        program = Path(sys.argv[0]).absolute()
+        text = _SHELLS[str(values)].replace("PROGRAM", shlex.quote(str(program)))
+        print(text.replace("FOLDER", shlex.quote(str(program.parent))), end="")
+        parser.exit()
 
 
-def run(options: argparse.Namespace) -> int:
-    """Print the shell code, which runs this very program for the candidates."""
-    program = Path(sys.argv[0]).absolute()
-    text = _SHELLS[options.shell].replace("PROGRAM", shlex.quote(str(program)))
-    print(text.replace("FOLDER", shlex.quote(str(program.parent))), end="")
-    return 0
+def add_completion_option(parser: argparse.ArgumentParser) -> None:
+    """Add --completion."""
+    parser.add_argument(
+        "--completion",
+        action=PrintCompletion,
+        choices=sorted(_SHELLS),
+        help="print code for your shell, bash or zsh, with which the Tab key completes verbs, "
+        "options, topics, fields, runs and robots, and exit (default: do not; see above)",
+    )
