@@ -26,10 +26,10 @@ def test_every_verb_explains_itself(verb, capsys):
     with pytest.raises(SystemExit) as ended:
         cassandra_bag.main([verb, "--help"])
     assert ended.value.code == 0
-    text = capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
     assert cassandra_bag.VERBS[verb].__doc__.strip().splitlines()[0] in text
     for option in ("--host", "--port", "--keyspace", "CASSANDRA_ROS_HOST"):
-        assert option in text or verb == "completion"
+        assert option in text
 
 
 @pytest.mark.suite("all", "it converts several times")

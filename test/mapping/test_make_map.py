@@ -331,7 +331,7 @@ def test_options_that_make_no_sense_are_refused(bag):
 
 
 def test_the_help_tells_the_defaults_that_the_library_has(bag):
-    text = " ".join(bag("map", "--help")[1].split())
+    text = " ".join(bag("map", "--help-all")[1].split())
     for known in (
         f"metres (default: {MapOptions().resolution:g})",
         f"moving transforms (default: {PoseChoice().tf})",

@@ -531,7 +531,7 @@ def test_help_and_no_server(roscore):
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert "use an internal buffer of SIZE MB" in done.stdout
+    assert "record all topics, except" in done.stdout
     child = start_node(roscore, "recorder", "/x", "--port", "1", "--wait", "0")
     assert child.wait() == 1
     assert "rosrun cassandra_ros local_cassandra start" in child.output

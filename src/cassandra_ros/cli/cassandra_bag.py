@@ -1,13 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""List, describe, query, index and convert stored topics; list runs; import, export, verify bags.
+"""Look at, query, import, export, check, change and remove what is stored in Cassandra.
 
 'cassandra_bag VERB --help' explains a verb. After this line, for example in ~/.bashrc, the Tab key
 completes verbs, options, topics and fields (for zsh: --completion zsh, after compinit):
   eval "$(rosrun cassandra_ros cassandra_bag --completion bash)"
-Topics, fields, runs and robots come from the store that the options typed so far, the environment
-and the cqlshrc name; for import and verify, topics come from the files. The Python package
-argcomplete, of requirements.txt, is needed.
 """
 
 from __future__ import annotations
@@ -21,7 +18,7 @@ from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.completion import add_completion_option
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import error_line, verbs_parser
-from cassandra_ros.cli.verbs import VERBS
+from cassandra_ros.cli.verbs import GROUPS, VERBS
 from cassandra_ros.errors import CassandraRosError, InvalidQuery
 
 PROGRAM = "cassandra_bag"
@@ -36,7 +33,7 @@ def make_parser() -> argparse.ArgumentParser:
     def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
         VERBS[name].add_arguments(parser)
 
-    parser = verbs_parser(PROGRAM, __doc__, VERBS, add_arguments, _STORE_MISSING)
+    parser = verbs_parser(PROGRAM, __doc__, GROUPS, add_arguments, _STORE_MISSING)
     add_completion_option(parser)
     return parser
 

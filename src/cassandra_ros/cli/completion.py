@@ -65,6 +65,8 @@ def add_completion_option(parser: argparse.ArgumentParser) -> None:
         "--completion",
         action=PrintCompletion,
         choices=sorted(_SHELLS),
-        help="print code for your shell, bash or zsh, with which the Tab key completes verbs, "
-        "options, topics, fields, runs and robots, and exit (default: do not; see above)",
+        help="print code with which the Tab key completes words in your shell, and exit; it needs "
+        "the Python package argcomplete. Topics, fields, runs and robots come from the store that "
+        "the options typed so far, the environment and the cqlshrc name; for import and verify, "
+        "topics come from the files (default: do not print it)",
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Mapping
 
 from cassandra_ros.cli.far_times import check_times
 from cassandra_ros.cli.options import hurry_on_interrupt, read_seconds
-from cassandra_ros.cli.parsers import error_line
+from cassandra_ros.cli.parsers import Rare, error_line
 from cassandra_ros.cli.target_options import PLACE
 from cassandra_ros.store.connection.address import ANSWER_SEC
 
@@ -50,15 +50,19 @@ def add_fleet_options(
         "--store-file",
         metavar="FILE",
         type=lambda text: text or None,
-        help="file of stores: a section for each, with its place, cqlshrc and credentials "
-        "(default: none; --cqlshrc and --credentials are for all stores)",
+        help=Rare(
+            "file of stores: a section for each, with its place, cqlshrc and credentials "
+            "(default: none; --cqlshrc and --credentials are for all stores)"
+        ),
     )
     group.add_argument(
         "--store-timeout",
         metavar="SECONDS",
         type=read_seconds,
         default=ANSWER_SEC,
-        help="maximum time to wait for the answer of a store of --store (default: %(default)g)",
+        help=Rare(
+            "maximum time to wait for the answer of a store of --store (default: %(default)g)"
+        ),
     )
 
 

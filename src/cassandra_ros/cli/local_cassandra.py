@@ -16,7 +16,7 @@ from typing import Sequence
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.confirmation import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
-from cassandra_ros.cli.parsers import verbs_parser
+from cassandra_ros.cli.parsers import VerbGroup, verbs_parser
 from cassandra_ros.cli.terminal_text import format_bytes
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
@@ -312,7 +312,8 @@ def _number_or_nothing(text: str) -> int | None:
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
     more = f"  {EXIT_NOT_RUNNING:<4} of status: not every node answers"
-    return verbs_parser("local_cassandra", __doc__, VERBS, _add_arguments, more)
+    groups = [VerbGroup("verbs", "local_cassandra start --nodes 3", VERBS)]
+    return verbs_parser("local_cassandra", __doc__, groups, _add_arguments, more)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -31,6 +31,7 @@ from typing import (
 
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.far_times import check_times, read_time
+from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.cli.readers import exact_seconds
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, TlsMismatch
 from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, FORMATS
@@ -88,9 +89,11 @@ def add_large_chunks_option(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--allow-large-chunks",
         action="store_true",
-        help="also read chunks of more than 256 MiB of content, and files that unpack to more than "
-        "1000 times their size (default: refuse them). Only for files that you trust: a small file "
-        "that was made to do harm can fill the memory and the disk",
+        help=Rare(
+            "also read chunks of more than 256 MiB of content, and files that unpack to more than "
+            "1000 times their size (default: refuse them). Only for files that you trust: a small "
+            "file that was made to do harm can fill the memory and the disk"
+        ),
     )
 
 
@@ -141,8 +144,10 @@ def add_store_options(
         type=str.upper,
         choices=CONSISTENCY_LEVELS,
         default=DEFAULT_CONSISTENCY,
-        help="how many copies of a row must answer: ONE, TWO, QUORUM, LOCAL_QUORUM or ALL; ONE "
-        "reads what the nodes that answer have (default: %(default)s)",
+        help=Rare(
+            "how many copies of a row must answer: ONE, TWO, QUORUM, LOCAL_QUORUM or ALL; ONE "
+            "reads what the nodes that answer have (default: %(default)s)"
+        ),
     )
     unlimited = math.isinf(wait_sec)
     without = "no limit; 0: end at once with the error" if unlimited else f"{wait_sec:g}"
@@ -151,7 +156,9 @@ def add_store_options(
         metavar="SECONDS",
         type=read_seconds,
         default=wait_sec,
-        help=f"maximum time to wait for a store that does not answer yet (default: {without})",
+        help=Rare(
+            f"maximum time to wait for a store that does not answer yet (default: {without})"
+        ),
     )
 
 
@@ -160,15 +167,19 @@ def _add_login_options(add: Callable[..., object]) -> None:
         "--cqlshrc",
         metavar="FILE",
         type=lambda text: text or None,
-        help="file with the address of the cluster and its TLS settings, as for cqlsh (default: "
-        f"{CQLSHRC})",
+        help=Rare(
+            "file with the address of the cluster and its TLS settings, as for cqlsh (default: "
+            f"{CQLSHRC})"
+        ),
     )
     add(
         "--credentials",
         metavar="FILE",
         type=lambda text: text or None,
-        help="file with user name and password, as for cqlsh; only you may read it, mode 600 "
-        f"(default: that of the cqlshrc, else {CREDENTIALS})",
+        help=Rare(
+            "file with user name and password, as for cqlsh; only you may read it, mode 600 "
+            f"(default: that of the cqlshrc, else {CREDENTIALS})"
+        ),
     )
 
 

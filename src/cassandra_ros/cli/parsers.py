@@ -9,8 +9,20 @@ import difflib
 import inspect
 import os
 import re
+import shutil
 import sys
-from typing import Any, Callable, Iterable, Mapping, NoReturn, Sequence
+import textwrap
+from dataclasses import dataclass
+from typing import (
+    Any,
+    Callable,
+    Generic,
+    Iterable,
+    Mapping,
+    NoReturn,
+    Sequence,
+    TypeVar,
+)
 
 from cassandra_ros.installation import shipped_file
 from cassandra_ros.metadata import SCHEMA_VERSION
@@ -24,7 +36,24 @@ exit status:
   1    failure, also of a part: each line '%(prog)s: …' on standard error gives a reason
   2    wrong usage; nothing was done"""
 _ENDED = "  130  ended by Ctrl-C, 143 by SIGTERM, 141 by the reader of its output (| head)"
-_RAW = argparse.RawDescriptionHelpFormatter
+_Verb = TypeVar("_Verb", covariant=True)
+_VERB_WIDTH = 11
+"""Width of the column of verbs."""
+
+
+class Rare(str):
+    """Help text of an option that is needed rarely: --help leaves it out, --help-all shows it."""
+
+
+@dataclass(frozen=True)
+class VerbGroup(Generic[_Verb]):
+    """Verbs of a program that --help shows together."""
+
+    title: str
+    example: str
+    """A command line with one of the verbs."""
+    verbs: Mapping[str, _Verb]
+    """Name of a verb → what its docstring, the help text, belongs to."""
 
 
 def error_line(program: str, text: object) -> str:
@@ -37,16 +66,48 @@ def _epilog(program: str, more: str) -> str:
     return "\n".join(filter(None, (_STATUSES.replace("%(prog)s", program), more, _ENDED)))
 
 
+class _HelpText(argparse.RawDescriptionHelpFormatter):
+    """Fills paragraphs to the width of the terminal, and shortens the line of usage."""
+
+    _OPTIONS = argparse.Action([], "options", metavar="[OPTION ...]")
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Iterable[Any],
+        prefix: str | None = None,
+    ) -> None:
+        """Add a line with the words and the options that are needed."""
+        needed = [each for each in actions if each.required or not each.option_strings]
+        super().add_usage(usage, [self._OPTIONS, *needed], [], prefix)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        """Return a text whose paragraphs fill the lines; indented lines stay as they are."""
+        lines: list[str] = []
+        prose: list[str] = []
+        for line in [*text.splitlines(), ""]:
+            if line[:1] not in ("", " "):
+                prose.append(line)
+            else:
+                filled = textwrap.wrap(" ".join(prose), width, break_on_hyphens=False)
+                lines += [*filled, line]
+                prose = []
+        return "".join(f"{indent}{line}".rstrip() + "\n" for line in lines[:-1])
+
+
 class Parser(argparse.ArgumentParser):
     """A parser that takes its words in any order, and no option that would replace another one.
 
     argparse takes positional arguments from one place only, and the last of several values without
     a word about the others. An option for a list must have the action append or extend. Wrong usage
-    is reported in the form of all other errors, by the parser of the verb.
+    is reported in the form of all other errors, by the parser of the verb. Help texts are filled to
+    the width of the terminal, and leave out options whose help is Rare.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.formatter_class = _HelpText
         if ASKED not in os.environ:  # argcomplete reads values of argparse's own actions only
             self.register("action", None, _StoreOnce)
             self.register("action", "store", _StoreOnce)
@@ -55,6 +116,23 @@ class Parser(argparse.ArgumentParser):
         """Parsers of the verbs by name."""
         self.given: dict[str, str] = {}
         """Options with one value that the last command line gave: dest -> the option as typed."""
+
+    def format_help(self) -> str:
+        """Return the help text without the options that are needed rarely."""
+        rare = [(action, action.help) for action in self._actions if isinstance(action.help, Rare)]
+        for action, _ in rare:
+            action.help = argparse.SUPPRESS
+        text = self.format_full_help()
+        for action, help_text in rare:
+            action.help = help_text
+        if not rare:
+            return text
+        what = "option is" if len(rare) == 1 else "options are"
+        return f"{text}\n{len(rare)} more {what} shown by {self.prog} --help-all\n"
+
+    def format_full_help(self) -> str:
+        """Return the help text with all options."""
+        return super().format_help()
 
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
@@ -198,6 +276,14 @@ def _refuse_second(parser: Parser, action: argparse.Action, option: str) -> None
     parser.given[action.dest] = option
 
 
+class _HelpAll(argparse.Action):
+    """Print the help text with all options."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(parser.format_full_help() if isinstance(parser, Parser) else "", end="")
+        parser.exit()
+
+
 class _Version(argparse.Action):
     """Print the version of the package and of the schema; the file is read only when asked for."""
 
@@ -214,32 +300,50 @@ def program_parser(program: str, text: str | None, more: str = "") -> Parser:
         more: Lines about further exit statuses.
     """
     description, closing = inspect.cleandoc(text or ""), _epilog(program, more)
-    parser = Parser(prog=program, description=description, epilog=closing, formatter_class=_RAW)
+    parser = Parser(prog=program, description=description, epilog=closing)
+    _add_help_all(parser)
     parser.add_argument(
         "--version", action=_Version, nargs=0, help="show the version and the schema, and exit"
     )
     return parser
 
 
+def _listed(group: VerbGroup[object]) -> str:
+    """Return the verbs of a group with the first lines of their docstrings, and the example."""
+    width = max(shutil.get_terminal_size().columns - 2, 2 * _VERB_WIDTH)  # as argparse fills
+    lines = [f"{group.title}:"]
+    for name, verb in group.verbs.items():
+        first = f"  {name:<{_VERB_WIDTH}}"
+        summary = (inspect.getdoc(verb) or "").splitlines()[0]
+        blank = " " * len(first)
+        lines += textwrap.wrap(summary, width, initial_indent=first, subsequent_indent=blank)
+    return "\n".join([*lines, f"  as in: {group.example}"])
+
+
+def _add_help_all(parser: Parser) -> None:
+    text = "show this help message with all options, and exit"
+    parser.add_argument("--help-all", action=_HelpAll, nargs=0, help=text)
+
+
 def verbs_parser(
     program: str,
     text: str | None,
-    verbs: Mapping[str, object],
+    groups: Sequence[VerbGroup[object]],
     add_arguments: Callable[[str, argparse.ArgumentParser], None],
     more: str = "",
 ) -> Parser:
     """Return the parser of a program with verbs; their docstrings are their help texts."""
     parser = program_parser(program, text, more)
-    verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for name, verb in verbs.items():
-        doc = inspect.getdoc(verb) or ""
+    parser.description = "\n\n".join([parser.description or "", *map(_listed, groups)])
+    text = "one of the verbs above"
+    verb_parsers = parser.add_subparsers(
+        prog=program, dest="verb", metavar="VERB", required=True, help=text
+    )
+    for name, verb in ((name, verb) for group in groups for name, verb in group.verbs.items()):
         verb_parser = verb_parsers.add_parser(
-            name,
-            help=doc.splitlines()[0],
-            description=doc,
-            epilog=_epilog(program, more),
-            formatter_class=_RAW,
+            name, description=inspect.getdoc(verb), epilog=_epilog(program, more)
         )
+        _add_help_all(verb_parser)
         verb_parser.set_defaults(parser=verb_parser)
         parser.verbs[name] = verb_parser
         add_arguments(name, verb_parser)

@@ -39,7 +39,7 @@ from cassandra_ros.cli.options import (
     strip_remappings,
     without_empty,
 )
-from cassandra_ros.cli.parsers import program_parser
+from cassandra_ros.cli.parsers import Rare, program_parser
 from cassandra_ros.cli.readers import (
     exact_duration,
     exact_seconds,
@@ -92,7 +92,7 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help=text,
+        help=Rare(text),
     )
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
     add_exclude_option(group, "play all")
@@ -124,10 +124,10 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     add("--after", metavar="SEC", type=exact_seconds, help=text)
     align = group.add_mutually_exclusive_group()
     text = "play all runs at once, as if their first messages had the same time"
-    align.add_argument("--align-start", action="store_true", help=text)
+    align.add_argument("--align-start", action="store_true", help=Rare(text))
     text = "play all robots at once; the runs of one robot are played one after the other"
     align.add_argument(
-        "--align-nodes", action="store_const", const="node", dest="align_start", help=text
+        "--align-nodes", action="store_const", const="node", dest="align_start", help=Rare(text)
     )
 
 
@@ -139,24 +139,24 @@ def _add_pace(group: argparse._ArgumentGroup) -> None:
     add("-i", "--immediate", action="store_true", help=text)
     add("--pause", action="store_true", help="start in paused mode")
     text = "pause before each message of these topics; may be repeated (default: do not pause)"
-    add("--pause-topics", metavar="TOPIC", nargs="+", action="extend", default=[], help=text)
+    add("--pause-topics", metavar="TOPIC", nargs="+", action="extend", default=[], help=Rare(text))
     text = "skip pauses without messages that are longer than SEC seconds (default: skip nothing)"
     add("--skip-empty", metavar="SEC", type=seconds, help=text)
     add("-l", "--loop", action="store_true", help="loop playback")
     text = "keep running at the end, for late subscribers of latched topics and for ~seek"
-    add("-k", "--keep-alive", action="store_true", help=text)
+    add("-k", "--keep-alive", action="store_true", help=Rare(text))
     text = "wait SEC seconds after advertising, to allow subscribers to connect (default: 0.2)"
-    add("-d", "--delay", metavar="SEC", type=seconds, default=0.2, help=text)
+    add("-d", "--delay", metavar="SEC", type=seconds, default=0.2, help=Rare(text))
     text = "wait for at least one subscriber on each topic before publishing"
-    add("--wait-for-subscribers", action="store_true", help=text)
+    add("--wait-for-subscribers", action="store_true", help=Rare(text))
     text = "wait while the last stamp on this topic is too old (default: do not wait)"
-    add("--rate-control-topic", metavar="TOPIC", default="", help=text)
+    add("--rate-control-topic", metavar="TOPIC", default="", help=Rare(text))
     text = "maximum age of that stamp, seconds (default: %(default)s)"
-    add("--rate-control-max-delay", metavar="SEC", type=seconds, default=1.0, help=text)
+    add("--rate-control-max-delay", metavar="SEC", type=seconds, default=1.0, help=Rare(text))
     text = "maximum size of the messages read in advance, MB (default: 64)"
-    add("--read-ahead", metavar="MB", type=megabytes, default="64", help=text)
+    add("--read-ahead", metavar="MB", type=megabytes, default="64", help=Rare(text))
     text = "offer no services, so that no other program of the ROS network controls the player"
-    add("--no-services", action="store_true", help=text)
+    add("--no-services", action="store_true", help=Rare(text))
 
 
 def _add_names(group: argparse._ArgumentGroup) -> None:
@@ -169,12 +169,12 @@ def _add_names(group: argparse._ArgumentGroup) -> None:
         help="prefix all output topics (default: none)",
     )
     text = "prefix each topic with its robot, or with its run: /<robot>/topic"
-    add("--node-prefix", action="store_true", help=text)
+    add("--node-prefix", action="store_true", help=Rare(text))
     text = "use an outgoing queue of size SIZE for each subscriber (default: 100, 0 = infinite)"
-    add("--queue", metavar="SIZE", type=whole_number, default=100, help=text)
+    add("--queue", metavar="SIZE", type=whole_number, default=100, help=Rare(text))
     add("--clock", action="store_true", help="publish the clock time")
     text = "use a frequency of HZ when publishing clock time (default: 100)"
-    add("--hz", metavar="HZ", type=factor, default=100.0, help=text)
+    add("--hz", metavar="HZ", type=factor, default=100.0, help=Rare(text))
 
 
 def read_selection(options: argparse.Namespace) -> PlaySelection:

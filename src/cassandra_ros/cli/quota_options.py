@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 from typing import Callable
 
+from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.cli.readers import byte_size
 
 
@@ -21,15 +22,19 @@ def add_quota_options(add: Callable[..., object]) -> None:
         metavar="SIZE",
         type=byte_size,
         default=0,
-        help="keep the topics of the store under this size, as 20G: what another store has is "
-        "deleted, oldest first; above 80 %% of what no other store has, /diagnostics warns "
-        "(default: no maximum)",
+        help=Rare(
+            "keep the topics of the store under this size, as 20G: what another store has is "
+            "deleted, oldest first; above 80 %% of what no other store has, /diagnostics warns "
+            "(default: no maximum)"
+        ),
     )
     add(
         "--drop-uncopied",
         action="store_true",
-        help="with --max-size: also delete what no other store has, as a loss, if there is no "
-        "other way",
+        help=Rare(
+            "with --max-size: also delete what no other store has, as a loss, if there is no "
+            "other way"
+        ),
     )
 
 

@@ -34,7 +34,7 @@ from cassandra_ros.cli.options import (
     store_place,
     strip_remappings,
 )
-from cassandra_ros.cli.parsers import Parser, error_line, program_parser
+from cassandra_ros.cli.parsers import Parser, Rare, error_line, program_parser
 from cassandra_ros.cli.quota_options import add_quota_options, check_quota_options
 from cassandra_ros.cli.readers import (
     byte_size,
@@ -72,7 +72,7 @@ _log = logging.getLogger(__name__)
 
 PROGRAM = "recorder"
 _LOOPBACK = ("localhost", "127.", "::1")
-_NO_PARAMETERS = ("help", "version", "quiet", "dry_run", "udp")
+_NO_PARAMETERS = ("help", "help_all", "version", "quiet", "dry_run", "udp")
 
 
 def make_parser() -> Parser:
@@ -103,7 +103,7 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
         "--node",
         metavar="NODE",
         default="",
-        help="record all topics subscribed to by a node (default: none)",
+        help=Rare("record all topics subscribed to by a node (default: none)"),
     )
     text = "print what would be recorded and how, and end"
     add("--dry-run", action="store_true", help=text)
@@ -112,7 +112,7 @@ def _add_choice(parser: argparse.ArgumentParser) -> None:
 
 def _add_runs(add: Add) -> None:
     text = "prepend PREFIX to the name of the run, which is the date (default: only the date)"
-    add("-o", "--output-prefix", metavar="PREFIX", default="", help=text)
+    add("-o", "--output-prefix", metavar="PREFIX", default="", help=Rare(text))
     text = (
         "name of the run; several runs may have one name, which then means all of them (default: "
         "the date)"
@@ -133,22 +133,22 @@ def _add_runs(add: Add) -> None:
     text = "record this many MB of messages; with --split: into each run (default: no limit)"
     add("--size", metavar="SIZE", type=megabytes, default=0, help=text)
     text = (
-        "record for this long, in seconds, unless 'm', or 'h' is appended; with "
-        "--split: each run (default: until it is stopped)"
+        "record this long, in seconds, or 5m, 2h; with --split: each run (default: until it is "
+        "stopped)"
     )
     add("--duration", type=duration, default=0.0, help=text)
     text = (
         "keep at most MAX_SPLITS runs of this recording; the messages of older ones are "
         "deleted (default: keep all)"
     )
-    add("--max-splits", metavar="MAX_SPLITS", type=whole_number, default=0, help=text)
+    add("--max-splits", metavar="MAX_SPLITS", type=whole_number, default=0, help=Rare(text))
     text = "begin each run of a split recording with the latched messages"
-    add("--repeat-latched", action="store_true", help=text)
+    add("--repeat-latched", action="store_true", help=Rare(text))
     text = "publish a latched message with the name of each run on begin_write"
-    add("-p", "--publish", action="store_true", help=text)
+    add("-p", "--publish", action="store_true", help=Rare(text))
     text = (
-        "keep only the newest messages in memory, up to this duration or size; the service "
-        "~snapshot stores them as a run (default: store all messages when they arrive)"
+        "keep only the newest messages, in memory, up to this duration or size; the service "
+        "~snapshot stores them as a run (default: store all)"
     )
     add("-s", "--snapshot", metavar="30s|200MB", type=checked(read_bound), help=text)
 
@@ -172,16 +172,15 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     pair = checked(read_limit)
     add("--rate-limit", metavar="[TOPIC:]HZ", type=pair, action="append", default=[], help=text)
     text = (
-        "YAML file with format, ttl, rate_limit, where, key_part and index for patterns of topics, "
-        "and with events; see config/recorder.yaml. --where and --rate-limit override it, it "
-        "overrides --format (default: no file)"
+        "YAML file with settings for patterns of topics, and with events, as config/recorder.yaml. "
+        "--where and --rate-limit override it, it overrides --format (default: no file)"
     )
     add("--config", metavar="FILE", type=checked(read_config), default=_Config(), help=text)
     text = (
         "format packed: maximum time that a message waits until its block is stored (default: "
         "0.5 s)"
     )
-    add("--block-age", metavar="SEC", type=duration, default=BLOCK_SEC, help=text)
+    add("--block-age", metavar="SEC", type=duration, default=BLOCK_SEC, help=Rare(text))
     text = "name of the robot that is recorded (default: no name)"
     add("--node-id", metavar="N", default="", help=text)
 
@@ -190,25 +189,25 @@ def _add_limits(add: Add) -> None:
     text = "only record NUM messages on each topic (default: all)"
     add("-l", "--limit", metavar="NUM", type=whole_number, default=0, help=text)
     text = "use an internal buffer of SIZE MB (default: 256, 0 = infinite)"
-    add("-b", "--buffsize", metavar="SIZE", type=megabytes, default="256", help=text)
+    add("-b", "--buffsize", metavar="SIZE", type=megabytes, default="256", help=Rare(text))
     text = (
         "stop storing while the disk of the local Cassandra has less free space (default: 1G; 0 = "
         "off). The free space of a Cassandra on another machine is unknown: watch it there"
     )
-    add("-L", "--min-space", metavar="1G", type=byte_size, default="1G", help=text)
+    add("-L", "--min-space", metavar="1G", type=byte_size, default="1G", help=Rare(text))
     add_quota_options(add)
     text = "do not publish on /diagnostics"
-    add("--no-diagnostics", dest="diagnostics", action="store_false", help=text)
+    add("--no-diagnostics", dest="diagnostics", action="store_false", help=Rare(text))
     text = (
         "offer no services, so that no other program of the ROS network starts, stops or pauses "
         "the recording"
     )
-    add("--no-services", action="store_true", help=text)
+    add("--no-services", action="store_true", help=Rare(text))
     text = (
         "do not index the places where the robot is while its poses are recorded: NEAR then reads "
         "all poses, until 'cassandra_bag index --places' makes the index"
     )
-    add("--no-places", dest="places", action="store_false", help=text)
+    add("--no-places", dest="places", action="store_false", help=Rare(text))
 
 
 def _add_spool(parser: argparse.ArgumentParser) -> None:
@@ -219,35 +218,41 @@ def _add_spool(parser: argparse.ArgumentParser) -> None:
     )
     add = group.add_argument
     text = "let messages wait in memory only (--buffsize)"
-    add("--no-spool", dest="spool", action="store_false", help=text)
+    add("--no-spool", dest="spool", action="store_false", help=Rare(text))
     text = (
         "write every message into the spool first: a recorder that is killed loses at most its "
         "last second, and the next one says so"
     )
     add("--journal", action="store_true", help=text)
     text = "maximum size of the spool (default: 2G)"
-    add("--spool-size", metavar="SIZE", type=byte_size, default="2G", help=text)
+    add("--spool-size", metavar="SIZE", type=byte_size, default="2G", help=Rare(text))
     text = (
         "which messages a full spool drops; they are told as lost (default: oldest, as the buffer)"
     )
     choices = ("oldest", "newest")
-    add("--spool-drop", metavar="|".join(choices), choices=choices, default="oldest", help=text)
+    add(
+        "--spool-drop",
+        metavar="|".join(choices),
+        choices=choices,
+        default="oldest",
+        help=Rare(text),
+    )
     text = "folder of the spool (default: $ROS_HOME/cassandra_ros/spool, or in ~/.ros)"
-    add("--spool-dir", metavar="DIR", default="", help=text)
+    add("--spool-dir", metavar="DIR", default="", help=Rare(text))
 
 
 def _add_rosbag(add: Add) -> None:
     text = "Use the TCP_NODELAY transport hint when subscribing to topics."
-    add("--tcpnodelay", action="store_true", help=text)
+    add("--tcpnodelay", action="store_true", help=Rare(text))
     text = "accepted without effect: Cassandra compresses its tables with LZ4"
-    add("-j", "--bz2", action="store_true", help=text)
-    add("--lz4", action="store_true", help=text)
+    add("-j", "--bz2", action="store_true", help=Rare(text))
+    add("--lz4", action="store_true", help=Rare(text))
     text = (
         "accepted without effect: messages over 512 KiB are always stored in chunks of that "
         "size (default)"
     )
-    add("--chunksize", metavar="SIZE", type=whole_number, help=text)
-    add("--udp", action="store_true", help="refused: rospy has no UDP transport")
+    add("--chunksize", metavar="SIZE", type=whole_number, help=Rare(text))
+    add("--udp", action="store_true", help=Rare("refused: rospy has no UDP transport"))
 
 
 def read_where(text: str) -> tuple[str, str]:

@@ -8,6 +8,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.options import DEFAULT_CONSISTENCY, open_store
+from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.store.connection.address import read_place
 
 if TYPE_CHECKING:
@@ -34,15 +35,19 @@ def add_target_options(parser: argparse.ArgumentParser, option: str, help: str) 
         "--to-cqlshrc",
         metavar="FILE",
         type=lambda text: text or None,
-        help="file with the login and TLS settings of the other store, as --cqlshrc (default: the "
-        "files that are used where --cqlshrc is not given)",
+        help=Rare(
+            "file with the login and TLS settings of the other store, as --cqlshrc (default: the "
+            "files that are used where --cqlshrc is not given)"
+        ),
     )
     group.add_argument(
         "--to-credentials",
         metavar="FILE",
         type=lambda text: text or None,
-        help="file with user name and password for the other store, as --credentials (default: "
-        "likewise)",
+        help=Rare(
+            "file with user name and password for the other store, as --credentials (default: "
+            "likewise)"
+        ),
     )
 
 

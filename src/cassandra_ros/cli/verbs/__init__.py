@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from cassandra_ros.cli.parsers import VerbGroup
 from cassandra_ros.cli.verbs import (
     cat,
     check,
@@ -31,29 +32,43 @@ from cassandra_ros.cli.verbs import (
     verify,
 )
 
-VERBS = {
-    "list": list_,
-    "info": info,
-    "runs": runs,
-    "import": import_,
-    "export": export,
-    "verify": verify,
-    "check": check,
-    "query": query,
-    "sql": sql_,
-    "plot": plot,
-    "thumbs": thumbs,
-    "cat": cat,
-    "index": index,
-    "convert": convert,
-    "copy": copy_,
-    "spool": spool_,
-    "map": map_,
-    "rename": rename,
-    "meta": meta,
-    "event": event,
-    "delete": delete,
-    "retention": retention,
-    "size": size,
-    "roles": roles,
-}
+GROUPS = (
+    VerbGroup(
+        "look at what is stored",
+        "cassandra_bag info /tf",
+        {"list": list_, "info": info, "runs": runs, "cat": cat, "size": size},
+    ),
+    VerbGroup(
+        "ask",
+        "cassandra_bag query 'SELECT KEY, linear.x FROM /cmd_vel WHERE linear.x > 0.5'",
+        {"query": query, "sql": sql_, "plot": plot, "thumbs": thumbs, "map": map_},
+    ),
+    VerbGroup(
+        "files and other stores",
+        "cassandra_bag import drive.bag",
+        {
+            "import": import_,
+            "export": export,
+            "verify": verify,
+            "copy": copy_,
+            "spool": spool_,
+        },
+    ),
+    VerbGroup(
+        "change",
+        "cassandra_bag index /cmd_vel linear.x",
+        {"index": index, "convert": convert, "rename": rename, "meta": meta, "event": event},
+    ),
+    VerbGroup(
+        "remove",
+        "cassandra_bag delete --run test_drive",
+        {"delete": delete, "retention": retention},
+    ),
+    VerbGroup(
+        "keep a store in order",
+        "cassandra_bag check",
+        {"check": check, "roles": roles},
+    ),
+)
+"""The verbs as --help shows them."""
+VERBS = {name: verb for group in GROUPS for name, verb in group.verbs.items()}

@@ -6,35 +6,21 @@
   cassandra_bag export scans.mcap --topics /scan /tf --start 2013-05-08T14:06:20Z
   cassandra_bag export ~/lake --parquet
 
-It is an MCAP if OUT ends with .mcap. The messages are written in the order of their times.
-Connections keep topic, header and number, so the messages of an imported bag keep their order.
-Times are seconds (1368021980 or 1368021980.25), ISO 8601 (UTC unless a zone is given), or
-nanoseconds (13 digits or more). If there are no messages, no bag is written, and an existing one is
-kept.
+It is an MCAP if OUT ends with .mcap. Messages are written in the order of their times. Connections
+keep topic, header and number, so the messages of an imported bag keep their order. Times are
+seconds (1368021980.25), ISO 8601 (UTC unless a zone is given), or nanoseconds (13 digits or more).
+If there are no messages, no bag is written, and an existing one is kept.
 
-With --event NAME only the time ranges of these events are exported, each event's robot alone.
+With --start, and in each time range of --event, the bag begins with the messages that were latched
+before (/tf_static, say): the last one of each latching publisher in the exported recordings, as far
+as it has changed since. Their time in the bag is the start; the field latched_from of their
+connection's header holds their receive time in nanoseconds.
 
-With --start the bag begins with the messages that were latched before it (/tf_static, say): the
-last message of each latching publisher in the exported recordings. Their time in the bag is the
-start. So does each time range of --event, as far as they have changed since. Each has a connection
-of its own, whose header field latched_from holds its receive time in nanoseconds; --no-latched
-leaves them out.
+An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. It also holds connection
+headers and events; cassandra_bag import restores all of it.
 
-Events that meet the time of the messages go into an MCAP as metadata; a bag cannot hold them.
-
-With --store, given once or several times, the file gets the messages of all these stores, each
-once. It is also written if a store does not answer. Give --no-latched with --start or --event then,
-for latched messages are only found in one store.
-
-An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. Each publisher of a topic
-is a channel, whose metadata hold the connection header. cassandra_bag import restores all of it.
-
-With --parquet OUT is a folder of Parquet files, for DuckDB, Spark, pandas and polars: one for each
-topic, day (UTC) and robot, as OUT/imu%2Fdata/day=2020-09-13/robot=r1/messages.parquet. Its columns
-are those of SQL (doc/sql.md): KEY, NODE, RUN and the fields, messages as structs. A second run
-writes only the files whose messages have changed; each takes the place of the old one when it is
-complete. Files of messages that the store deleted are kept. 'cassandra_bag verify OUT --parquet'
-compares the files with the store.
+With --parquet OUT is a folder of Parquet files, for DuckDB, Spark, pandas and polars (doc/sql.md).
+A second run writes only those whose messages have changed, keeping those of deleted messages.
 """
 
 from __future__ import annotations
@@ -55,6 +41,7 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.parquet_folder import write_folder
+from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, topics_among
 from cassandra_ros.printable import shown
@@ -70,11 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bag",
         nargs="?",
         metavar="OUT.bag",
-        help="the bag to write; OUT.mcap writes an MCAP; with --parquet a folder, which is made if "
-        "it is missing (default: the file of -o)",
+        help="the bag to write; OUT.mcap writes an MCAP, --parquet a folder (default: that of -o)",
     )
     text = "the bag to write, as an option, which may stand anywhere (default: OUT.bag)"
-    add("-o", "--output", metavar="OUT.bag", help=text)
+    add("-o", "--output", metavar="OUT.bag", help=Rare(text))
     add_topics_option(parser, "OUT.bag, or with -o anywhere")
     text = "write whole topics as Parquet files, in the folder OUT"
     add("--parquet", action="store_true", help=text)
@@ -83,14 +69,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-latched",
         dest="latched",
         action="store_false",
-        help="leave out messages that were latched before --start",
+        help="leave out messages that were latched before; needed with --store and --start or "
+        "--event",
     )
     packing = parser.add_mutually_exclusive_group()
     packing.add_argument(
-        "-j", "--bz2", dest="compression", action="store_const", const="bz2", help="use BZ2"
+        "-j", "--bz2", dest="compression", action="store_const", const="bz2", help=Rare("use BZ2")
     )
     packing.add_argument(
-        "--lz4", dest="compression", action="store_const", const="lz4", help="use LZ4"
+        "--lz4", dest="compression", action="store_const", const="lz4", help=Rare("use LZ4")
     )
     packing.add_argument(
         "--compression",

@@ -44,6 +44,7 @@ from cassandra_ros.cli.options import (
     read_event,
     read_times,
 )
+from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.cli.readers import factor, whole_number
 from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound, cannot_write
@@ -93,11 +94,11 @@ def _add_beams(group: argparse._ArgumentGroup) -> None:
     text = "maximum distance of points, metres (default: range_max for scans, 30 for clouds)"
     add("--max-range", metavar="M", type=factor, help=text)
     text = "minimum height of obstacles; lower points are floor, metres (default: no minimum for "
-    add("--min-height", metavar="M", type=float, help=text + "scans, 0.1 for clouds)")
+    add("--min-height", metavar="M", type=float, help=Rare(text + "scans, 0.1 for clouds)"))
     text = "maximum height of points, metres (default: no maximum for scans, 2 for clouds)"
-    add("--max-height", metavar="M", type=float, help=text)
+    add("--max-height", metavar="M", type=float, help=Rare(text))
     text = "maximum number of messages to use, evenly spread (default: all)"
-    add("--limit", metavar="COUNT", type=whole_number, help=text)
+    add("--limit", metavar="COUNT", type=whole_number, help=Rare(text))
 
 
 def _add_poses(group: argparse._ArgumentGroup) -> None:
@@ -110,10 +111,10 @@ def _add_poses(group: argparse._ArgumentGroup) -> None:
     text = "height of the sensor above the robot's origin, metres (default: 0)"
     add("--sensor-height", metavar="M", type=float, help=text)
     # The library has the defaults. Importing it here would slow down every verb.
-    add("--tf", metavar="TF", help="moving transforms (default: /tf)")
-    add("--tf-static", metavar="TF", help="fixed transforms (default: /tf_static)")
+    add("--tf", metavar="TF", help=Rare("moving transforms (default: /tf)"))
+    add("--tf-static", metavar="TF", help=Rare("fixed transforms (default: /tf_static)"))
     text = "maximum time between two poses for interpolation, seconds (default: 10)"
-    add("--longest-gap", metavar="SEC", type=factor, help=text)
+    add("--longest-gap", metavar="SEC", type=factor, help=Rare(text))
 
 
 def run(options: argparse.Namespace) -> int:

@@ -52,6 +52,7 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.parquet_folder import compare_folder
+from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_time
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
@@ -79,7 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--salvage",
         action="store_true",
-        help="compare the part of a damaged bag that import --salvage stores (default: refuse it)",
+        help=Rare(
+            "compare the part of a damaged bag that import --salvage stores (default: refuse it)"
+        ),
     )
     add_large_chunks_option(parser)
     add(
@@ -88,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         type=lambda text: read_pair(text, ":=", "FROM:=TO"),
         default=[],
-        help="with --content: topic FROM of the bag was recorded as TO; may be repeated",
+        help=Rare("with --content: topic FROM of the bag was recorded as TO; may be repeated"),
     )
     add_time_options(parser)
     add_event_options(parser, "with --content: ")
