@@ -118,7 +118,7 @@ class Demo:
         if recorder.stop():
             raise SystemExit(f"demo: the recorder lost messages:\n{recorder.text()}")
         print(recorder.text())
-        verify = [*RUN, "cassandra_bag", "verify", BAG, "--content", *self.drive.maps]
+        verify = ["cassandra_bag", "verify", BAG, "--content", *self.drive.maps]
         text = self.shell.run(*verify)
         self.note("recorded live, equal in content", self.drive.equal(text))
 
@@ -175,14 +175,14 @@ class Demo:
         say("Import the bag, export it, compare exactly")
         self.shell.env["CASSANDRA_ROS_KEYSPACE"] = COPY
         begin = time.monotonic()
-        self.shell.run(*RUN, "cassandra_bag", "import", BAG, shown=8)
+        self.shell.run("cassandra_bag", "import", BAG, shown=8)
         self.note("import of the bag", f"{time.monotonic() - begin:.1f} s, program start included")
-        self.shell.run(*RUN, "cassandra_bag", "info", shown=8)
-        text = self.shell.run(*RUN, "cassandra_bag", "verify", BAG)
+        self.shell.run("cassandra_bag", "info", shown=8)
+        text = self.shell.run("cassandra_bag", "verify", BAG)
         self.note("imported, equal in all", self.drive.equal(text))
         exported = self.out / "exported.bag"
-        self.shell.run(*RUN, "cassandra_bag", "export", "-f", exported, shown=8)
-        text = self.shell.run(*RUN, "cassandra_bag", "verify", exported)
+        self.shell.run("cassandra_bag", "export", "-f", exported, shown=8)
+        text = self.shell.run("cassandra_bag", "verify", exported)
         self.note("exported again, equal in all", self.drive.equal(text))
 
     def replay(self) -> None:
@@ -200,7 +200,7 @@ class Demo:
         if recorder.stop():
             raise SystemExit(f"demo: the recorder lost messages:\n{recorder.text()}")
         print(recorder.text().splitlines()[-1])
-        verify = [*RUN, "cassandra_bag", "verify", self.out / "exported.bag"]
+        verify = ["cassandra_bag", "verify", self.out / "exported.bag"]
         text = self.shell.run(*verify, "--keyspace", AGAIN, "--content", *self.drive.maps)
         self.note("played and recorded again, equal", self.drive.equal(text))
 

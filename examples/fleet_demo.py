@@ -257,19 +257,19 @@ class FleetDemo:
             robot.shell.echo("kill -INT replicator")
             if robot.programs["replicator"].stop():
                 raise SystemExit(f"demo: {robot.programs['replicator'].text()}")
-            robot.shell.run(*RUN, "cassandra_bag", "copy", "--status", shown=4)
+            robot.shell.run("cassandra_bag", "copy", "--status", shown=4)
 
     def verify(self) -> None:
         say("Is every message home, once?")
         for robot in self.robots:
             with_home = ["verify", "--with", self.place_of_home]
-            text = robot.shell.run(*RUN, "cassandra_bag", *with_home)
+            text = robot.shell.run("cassandra_bag", *with_home)
             match = re.search(r"^equal: .* (\d+) messages in (\d+) buckets", text, re.MULTILINE)
             assert match is not None, text
             figure = f"{int(match[1]):,} messages in {match[2]} buckets"
             self.note(f"{robot.name} and home, equal", figure)
             bag = ["verify", robot.drive.path, "--content", "--node-id", robot.name]
-            text = self.home_shell.run(*RUN, "cassandra_bag", *bag, *robot.drive.maps)
+            text = self.home_shell.run("cassandra_bag", *bag, *robot.drive.maps)
             self.note(f"{robot.name}'s bag and home, equal in content", robot.drive.equal(text))
 
     def ask_all(self) -> None:

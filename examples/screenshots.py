@@ -115,7 +115,7 @@ def start_viewer(stack: ExitStack) -> str:
     env.update(CASSANDRA_ROS_PORT=str(cluster.settings.port), CASSANDRA_ROS_CQLSHRC="")
     env.update(PYTHONUNBUFFERED="1")
     words = ("import", str(bag), "--node-id", ROBOT, "--format", "packed")
-    subprocess.run([*RUN, "cassandra_bag", *words], env=env, check=True)
+    subprocess.run(["cassandra_bag", *words], env=env, check=True)
     add_events(cluster.settings.port)
     viewer = Program(
         "viewer", [*RUN, "viewer", "--no-token", "--port", str(free_port())], env, home

@@ -163,7 +163,7 @@ def main() -> None:
             store = f"--port {rosCas.cassandra.port} --keyspace {args.keyspace}"
             window = f"--start {t1 - 5} --end {t2 + 5} --topics {' '.join(topics)}"
             print("replay:   examples/storyboard.py --replay, or")
-            print(f"          rosrun cassandra_ros cassandra_bag export seen.bag {store} \\")
+            print(f"          cassandra_bag export seen.bag {store} \\")
             print(f"            {window}")
             print("          rosbag play seen.bag")
 

@@ -102,6 +102,12 @@ def test_catkin_make_install(copy, tmp_path):
         ROS_PACKAGE_PATH=f"{tmp_path / 'install/share'}:/usr/share:/opt/ros/noetic",
     )
     check_installed(env, share, tmp_path, sys.executable)
+    typed = (
+        f"source {tmp_path}/install/setup.bash && which cassandra_bag && cassandra_bag --version"
+    )
+    where, _, version = run(["bash", "-c", typed], plain_env(), tmp_path).partition("\n")
+    assert where == str(tmp_path / "install/bin/cassandra_bag")
+    assert version.startswith(f"cassandra_bag {VERSION} ")
 
 
 @pytest.mark.suite("campaign", "it downloads 30 MB and takes minutes")
@@ -122,5 +128,8 @@ def test_a_deb_holds_all_that_debian_lacks(tmp_path):
     program = tmp_path / "usr/lib/cassandra_ros/recorder"
     assert program.read_text().startswith("#!/usr/bin/python3\n")
     assert run([program, "--version"], env, tmp_path).startswith(f"recorder {VERSION} ")
+    on_path = tmp_path / "usr/bin/cassandra_bag"
+    assert on_path.read_text().startswith("#!/usr/bin/python3\n")
+    assert run([on_path, "--version"], env, tmp_path).startswith(f"cassandra_bag {VERSION} ")
     code = "import cassandra_ros as c, cassandra_ros.srv; print(c.RosCassandra)"
     run(["/usr/bin/python3", "-c", code], env, tmp_path)

@@ -8,6 +8,7 @@ import ast
 import importlib.metadata
 import os
 import re
+import shutil
 import stat
 import subprocess
 import sys
@@ -104,6 +105,16 @@ def test_rosrun_finds_every_script_once(name, ros_env):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"usage: {name} ")
     assert "non-unique" not in done.stdout + done.stderr
+
+
+def test_cassandra_bag_alone_is_on_path_as_rosbag_is(ros_env):
+    folder = ROOT / ".ws/devel/bin"
+    assert shutil.which("cassandra_bag", path=ros_env["PATH"]) == str(folder / "cassandra_bag")
+    assert [name for name in SCRIPTS if (folder / name).exists()] == ["cassandra_bag"]
+    done = subprocess.run(
+        ["cassandra_bag", "--version"], capture_output=True, text=True, env=ros_env, timeout=300
+    )
+    assert (done.returncode, done.stdout[:14], done.stderr) == (0, "cassandra_bag ", "")
 
 
 def test_the_workspace_holds_links_to_items_never_to_the_root():

@@ -24,10 +24,15 @@ def press_tab(ros_env, env):
     """Return what a shell offers for each of some lines that were typed so far."""
 
     def run(*lines, shell="bash"):
-        program = WORKSPACE / "devel/lib/cassandra_ros/cassandra_bag"
+        program = WORKSPACE / "devel/bin/cassandra_bag"
         text = [] if shell == "bash" else ["autoload -U compinit", "compinit -u"]
         text.append(f'eval "$({program} --completion {shell})"')
-        text += [TAB.format(shlex.quote(line), "_cassandra_ros_bag") for line in lines]
+        for line in lines:
+            asked = "_cassandra_ros_bag"
+            if line.startswith("rosrun "):  # bash also splits the line for it
+                words = shlex.split(line)
+                asked = f"COMP_WORDS=({line}); COMP_CWORD={len(words) - 1}; _cassandra_ros_rosrun"
+            text.append(TAB.format(shlex.quote(line), asked))
         options = ["--norc"] if shell == "bash" else ["-f"]
         done = subprocess.run(
             [shell, *options, "-c", "\n".join(text)],
@@ -63,6 +68,11 @@ def test_verbs_options_topics_and_fields(shell, press_tab, call, tmp_path):
     assert press_tab(*lines, shell=shell) == list(lines.values())
 
 
+@pytest.mark.suite("all", "it starts a program")
+def test_bash_also_completes_the_other_programs_after_rosrun(press_tab):
+    assert press_tab("rosrun cassandra_ros recorder --no-sp") == [["--no-spool"]]
+
+
 def test_a_tab_runs_nothing_where_argcomplete_is_missing(monkeypatch, capsys):
     monkeypatch.setenv("_ARGCOMPLETE", "1")
     monkeypatch.setitem(sys.modules, "argcomplete", None)
@@ -75,6 +85,4 @@ def test_a_tab_runs_nothing_where_argcomplete_is_missing(monkeypatch, capsys):
 def test_how_it_is_switched_on_is_in_the_help(capsys):
     with pytest.raises(SystemExit):
         cassandra_bag.main(["--help"])
-    assert (
-        'eval "$(rosrun cassandra_ros cassandra_bag --completion bash)"' in capsys.readouterr().out
-    )
+    assert 'eval "$(cassandra_bag --completion bash)"' in capsys.readouterr().out

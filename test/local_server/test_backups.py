@@ -100,7 +100,7 @@ class Machine:
         return done.stdout
 
     def bag(self, *words):
-        return self.type(" ".join(["rosrun cassandra_ros cassandra_bag", *map(str, words)]))
+        return self.type(" ".join(["cassandra_bag", *map(str, words)]))
 
     def assert_all_is_there(self):
         for path, topics in ((HUSKY, TOPICS), (TURTLES, ("/turtle1/pose",))):

@@ -94,6 +94,17 @@ def test_the_command_line_shows_each_option_of_each_verb(program):
                     assert any(option in re.split(r"[ ,]+", text) for text in shown), option
 
 
+def test_cassandra_bag_is_typed_the_same_way_everywhere():
+    texts = [*ROOT.glob("*.md"), *ROOT.glob("doc/*.md"), *ROOT.glob("src/**/*.py")]
+    texts += [*ROOT.glob("examples/*.py"), *ROOT.glob("web/**/*.js")]
+    assert len(texts) > 300
+    for path in texts:
+        typed = re.search(
+            r"rosrun\s+cassandra_ros\s+cassandra_bag", path.read_text(encoding="utf-8")
+        )
+        assert typed is None, f"{path}: cassandra_bag is on PATH: type it without rosrun"
+
+
 def test_texts_are_shown_as_they_are():
     nodes = directives.paragraphs("Take *.bag | what `-e` says.\n\n    $ import *.bag\n\nEnd.")
     assert [node.tagname for node in nodes] == ["paragraph", "literal_block", "paragraph"]

@@ -4,7 +4,7 @@
 
 'cassandra_bag VERB --help' explains a verb. After this line, for example in ~/.bashrc, the Tab key
 completes verbs, options, topics and fields (for zsh: --completion zsh, after compinit):
-  eval "$(rosrun cassandra_ros cassandra_bag --completion bash)"
+  eval "$(cassandra_bag --completion bash)"
 """
 
 from __future__ import annotations

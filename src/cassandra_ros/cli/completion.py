@@ -21,9 +21,6 @@ _cassandra_ros_ask() {
 _cassandra_ros_bag() {
     _cassandra_ros_ask 1 PROGRAM
 }
-command -v cassandra_bag >/dev/null || cassandra_bag() {
-    PROGRAM "$@"
-}
 complete -o nospace -o default -F _cassandra_ros_bag cassandra_bag
 """
 _ROSRUN = """\
@@ -39,6 +36,8 @@ _cassandra_ros_rosrun() {
 declare -F _completion_loader >/dev/null && _completion_loader rosrun
 complete -o default -F _cassandra_ros_rosrun rosrun
 """
+_OTHER = "recorder"
+"""Another program of the package."""
 _SHELLS = {"bash": _ASK + _ROSRUN, "zsh": "autoload -U +X bashcompinit && bashcompinit\n" + _ASK}
 
 
@@ -55,7 +54,10 @@ class PrintCompletion(argparse.Action):
         """Print it; argparse calls this."""
         program = Path(sys.argv[0]).absolute()
         text = _SHELLS[str(values)].replace("PROGRAM", shlex.quote(str(program)))
-        print(text.replace("FOLDER", shlex.quote(str(program.parent))), end="")
+        # The others lie beside it, or, where catkin puts them, in the folder in which rosrun looks.
+        beside = (program.parent / _OTHER).exists()
+        folder = program.parent if beside else program.parent.parent / "lib/cassandra_ros"
+        print(text.replace("FOLDER", shlex.quote(str(folder))), end="")
         parser.exit()
 
 

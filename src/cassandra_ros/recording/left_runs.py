@@ -105,7 +105,7 @@ class LeftRuns:
             return ""
         return (
             f"it belongs to keyspace {label.keyspace or '?'} at {label.address or '?'}; store it "
-            f"with: rosrun cassandra_ros cassandra_bag spool drain {left_run.folder.path.name}, or "
+            f"with: cassandra_bag spool drain {left_run.folder.path.name}, or "
             "delete it with: spool drop"
         )
 

@@ -215,8 +215,7 @@ def differences(settings: TopicSettings, stored: TopicMetadata) -> list[str]:
     for name in () if stored.packed else settings.index:
         if name not in stored.indexes:
             texts.append(
-                f"has no index on {name}; make it with: rosrun cassandra_ros cassandra_bag index "
-                f"{stored.topic} {name}"
+                f"has no index on {name}; make it with: cassandra_bag index {stored.topic} {name}"
             )
     return texts
 

@@ -417,7 +417,7 @@ async function explain() {
   empty.replaceChildren(
     make("h1", {}, filtered ? "No message of the selection is stored" : `Nothing is stored in keyspace ${keyspace} yet`),
     make("p", {}, text || "Topics that you record or import appear here without reloading the page."),
-    make("pre", {}, `rosrun cassandra_ros cassandra_bag import FILE.bag --keyspace ${keyspace}\nrosrun cassandra_ros recorder -a --keyspace ${keyspace}`),
+    make("pre", {}, `cassandra_bag import FILE.bag --keyspace ${keyspace}\nrosrun cassandra_ros recorder -a --keyspace ${keyspace}`),
   );
   if (filtered) {
     empty.append(make("p", {}, make("button", { onclick: () => state.write({ topics: null, nodes: null, runs: null }) }, "Show all")));
