@@ -125,8 +125,8 @@ def test_options_that_are_needed_rarely_are_shown_by_help_all(program, capsys):
             line = re.compile(rf"^  (-.*, )?{re.escape(option)}(?![\w-])", re.MULTILINE)
             assert line.search(full), (parser.prog, option)
             assert bool(line.search(short)) == (option not in rare), (parser.prog, option)
-        told = re.search(rf"^([0-9]+) more .* by {parser.prog} --help-all$", short, re.MULTILINE)
-        assert (int(told[1]) if told else 0) == len(rare)
+        note = re.search(rf"^([0-9]+) more .* by {parser.prog} --help-all$", short, re.MULTILINE)
+        assert (int(note[1]) if note else 0) == len(rare)
         assert "more option" not in full
 
 

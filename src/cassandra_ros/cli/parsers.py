@@ -79,7 +79,7 @@ class _HelpText(argparse.RawDescriptionHelpFormatter):
         prefix: str | None = None,
     ) -> None:
         """Add a line with the words and the options that are needed."""
-        needed = [each for each in actions if each.required or not each.option_strings]
+        needed = [one for one in actions if one.required or not one.option_strings]
         super().add_usage(usage, [self._OPTIONS, *needed], [], prefix)
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:

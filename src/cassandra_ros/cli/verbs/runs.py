@@ -131,23 +131,23 @@ def _load(context: RunContext, options: argparse.Namespace) -> None:
     namespace = options.namespace
     prefix = "/" + "/".join(filter(None, namespace.split("/")))
     leaves = dict(_leaves(_below(context.params, namespace), prefix.rstrip("/")))
-    own = [name for name in leaves if _is_masters(name)]
-    empty = [name for name, value in leaves.items() if value is None and name not in own]
+    masters = [name for name in leaves if _is_masters(name)]
+    empty = [name for name, value in leaves.items() if value is None and name not in masters]
     count = set_parameters(
-        (name, value) for name, value in leaves.items() if name not in {*own, *empty}
+        (name, value) for name, value in leaves.items() if name not in {*masters, *empty}
     )
     if options.json:
-        print_json({"set": count, "masters_own": own, "without_value": empty})
+        print_json({"set": count, "masters_own": masters, "without_value": empty})
         return
     print(f"{count} parameters set")
-    if own:
-        print(f"left out, they are the running master's own: {shown(', '.join(own), None)}")
+    if masters:
+        print(f"left out, they are the running master's own: {shown(', '.join(masters), None)}")
     if empty:
         print(f"left out, they have no value: {shown(', '.join(empty), None)}")
 
 
 def _is_masters(name: str) -> bool:
-    return any(name == own or name.startswith(own + "/") for own in MASTERS_OWN)
+    return any(name == above or name.startswith(f"{above}/") for above in MASTERS_OWN)
 
 
 def _leaves(value: object, name: str) -> Iterator[tuple[str, object]]:
