@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, tell_missing
-from cassandra_ros.cli.keyboard import Keyboard
 from cassandra_ros.cli.options import (
     add_store_options,
     add_where_option,
@@ -59,6 +58,10 @@ if TYPE_CHECKING:
     from cassandra_ros.playing.play_options import PlayerOptions
     from cassandra_ros.playing.play_selection import PlaySelection
     from cassandra_ros.stores.fleet.fleet import Fleet
+import os
+import select
+import termios
+from typing import Any
 
 PROGRAM = "player"
 SHOW_SEC = 0.1
@@ -299,3 +302,51 @@ def closing_line(state: PlayerState) -> str:
             f"{topic.left_out} of {shown(topic.topic)}" for topic in state.topics if topic.left_out
         )
     return text
+
+
+class Keyboard:
+    """Reads single key presses, if standard input is a terminal and this is a foreground process.
+
+    A context manager; on exit it restores the settings of the terminal.
+    """
+
+    def __init__(self) -> None:
+        self._fd = -1
+        self._before: list[Any] | None = None
+
+    @property
+    def is_there(self) -> bool:
+        """Whether keys can be read."""
+        return self._before is not None
+
+    def __enter__(self) -> Keyboard:
+        try:
+            self._fd = sys.stdin.fileno()
+            # A background process is stopped when it changes the terminal.
+            if os.isatty(self._fd) and os.tcgetpgrp(self._fd) == os.getpgrp():
+                self._before = termios.tcgetattr(self._fd)
+                settings = termios.tcgetattr(self._fd)
+                settings[3] &= ~(termios.ICANON | termios.ECHO)
+                settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 0
+                termios.tcsetattr(self._fd, termios.TCSANOW, settings)
+        except (OSError, ValueError, AttributeError, termios.error):
+            self._before = None  # standard input is closed or cannot be changed
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        if self._before is not None:
+            before, self._before = self._before, None
+            try:
+                termios.tcsetattr(self._fd, termios.TCSANOW, before)
+            except termios.error:
+                pass  # the terminal is gone
+
+    def pressed(self) -> str:
+        """Return the keys that were pressed since the last call."""
+        if self._before is None or not select.select([self._fd], [], [], 0)[0]:
+            return ""
+        try:
+            return os.read(self._fd, 64).decode("utf-8", "replace")
+        except OSError:
+            self._before = None  # the terminal is gone
+            return ""

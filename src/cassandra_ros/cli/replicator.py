@@ -20,11 +20,11 @@ import sys
 from typing import Mapping
 
 from cassandra_ros.cli.candidates import answer_shell
+from cassandra_ros.cli.fleet_options import add_target_options, open_target
 from cassandra_ros.cli.options import add_store_options, open_store, strip_remappings
 from cassandra_ros.cli.parsers import program_parser
 from cassandra_ros.cli.quota_options import add_quota_options, check_quota_options
 from cassandra_ros.cli.readers import byte_size, truth
-from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.printable import shown_lines
 
 PROGRAM = "replicator"

@@ -30,6 +30,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.fleet_options import add_target_options, open_target
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
@@ -40,7 +41,6 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.readers import byte_size
-from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt

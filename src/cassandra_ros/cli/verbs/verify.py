@@ -38,6 +38,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.fleet_options import add_target_options, open_target
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_event_options,
@@ -53,7 +54,6 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.parquet_folder import compare_folder
 from cassandra_ros.cli.parsers import Rare
-from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_time
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.keys import MAX_NS
