@@ -142,7 +142,7 @@ def test_only_what_has_changed_is_written(lake, rosCas):
 
 @pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_bucket_that_a_deletion_left_open_is_written_once(lake, rosCas, monkeypatch):
-    for module in ("sql.lake", "store.row_counts"):
+    for module in ("client.sql.lake", "store.rows.row_counts"):
         monkeypatch.setattr(f"cassandra_ros.{module}.STALE_SEC", -1.0)
     rosCas.getTopic("/imu/data").removeData(T0, T0, nodeID="r1")
     assert Lake(rosCas.catalog, lake).write().files == 1
