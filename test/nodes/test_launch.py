@@ -31,7 +31,7 @@ from cassandra_ros.messages.connection_header import live_connection
 
 LAUNCH = Path(__file__).resolve().parents[2] / "launch"
 # What a launch file says in another way: output, and programs that end at once.
-NO_ARGUMENTS = {"help", "version", "dry_run", "udp"}
+NO_ARGUMENTS = {"help", "help_all", "version", "dry_run", "udp"}
 
 
 def arguments_of(name):
