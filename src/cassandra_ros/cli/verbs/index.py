@@ -10,7 +10,10 @@
 Messages that are stored already are indexed, with a progress bar. Topics may be recorded meanwhile:
 messages that a recorder is just writing are found without the index, and are indexed when you
 repeat the command. Repeating it also completes an interrupted one. The index works with all storage
-formats. With an array field, a condition finds the messages that contain a value.
+formats but packed. With an array field, CONTAINS finds the messages that contain a value. Texts
+over 1 KiB, arrays over 256 elements and NaN are not indexed: each statement with a condition on the
+topic then reads the messages that have such a value, also after the index was removed. So make no
+index on the ranges of a laser scan.
 
 With --places the places of the robots are indexed, from tf or from topics with their poses, so that
 NEAR reads only the poses around a place. Recorders do this themselves; use the option for imports,
