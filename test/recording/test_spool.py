@@ -251,7 +251,7 @@ class Denied:
             return self._writer.write(handle, *rest)
         error = WriteFailed(f"1 message of {self._topic} was refused")
         error.__cause__ = Unauthorized("User ann has no MODIFY permission on <table ros.t>")
-        return self._drained._refused(self._topic, 1, error)
+        return self._drained._on_refusal(self._topic, 1, error)
 
 
 def test_a_topic_that_may_not_be_written_stays_alone(proxy, store, rosCas, folder):
