@@ -225,6 +225,18 @@ def test_pages_are_sent_with_what_they_may_do(open_viewer):
     assert open_viewer.ask("/studio/a.js").headers["Cache-Control"] == "private, max-age=86400"
 
 
+def test_a_page_is_found_without_the_ending_of_its_file(open_viewer, closed_viewer):
+    for asked, leads in (
+        ("/look", "/look.html"),
+        ("/look?q=a%20b&start=1", "/look.html?q=a%20b&start=1"),
+    ):
+        answer = open_viewer.ask(asked)
+        assert (answer.status, answer.headers["Location"]) == (302, leads)
+    for path in ("//look", "/loo", "/look/", "/../secret.txt", "/.hidden", "/%2e%2e/web/look"):
+        assert open_viewer.ask(path).status == 404, path
+    assert closed_viewer.ask("/look").status == 401
+
+
 def test_a_viewer_for_other_machines_needs_a_token():
     for host in ("0.0.0.0", "10.0.0.1", "::", "robot", ""):  # noqa: S104 -- only checked
         with pytest.raises(InvalidOption, match="set a token"):

@@ -75,10 +75,17 @@ def _add_pages(router: web.UrlDispatcher, settings: ViewerSettings) -> None:
 
 
 def _files_of(folder: Path, only: str = "", kept: str = _ASKED_AGAIN) -> Handler:
-    """Return a handler that sends the files of a folder, which may be missing or made later."""
+    """Return a handler that sends the files of a folder, which may be missing or made later.
+
+    The address of a page is found without its ending, too: /ask leads to /ask.html.
+    """
 
     async def send(request: web.Request) -> web.StreamResponse:
-        path = _inside(folder, only or request.match_info["name"])
+        name = only or request.match_info["name"]
+        path = _inside(folder, name)
+        if path is None and _inside(folder, f"{name}.html"):
+            path_text, mark, query = request.raw_path.partition("?")
+            raise web.HTTPFound(f"{path_text}.html{mark}{query}")
         if path is None:
             raise web.HTTPNotFound(text=f"there is no {request.path} here\n")
         return web.FileResponse(path, headers={"Cache-Control": kept})
