@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, AbstractSet
 from cassandra_ros.arguments import check_pattern
 from cassandra_ros.cli.readers import checked
 from cassandra_ros.errors import TopicNotFound
-from cassandra_ros.playing.play_selection import matching
+from cassandra_ros.topics.patterns import matching
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.catalog import Catalog

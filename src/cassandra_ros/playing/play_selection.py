@@ -5,17 +5,17 @@
 from __future__ import annotations
 
 import logging
-import re
 from dataclasses import dataclass, field
-from typing import AbstractSet, Iterable, Mapping, Sequence, Union
+from typing import Mapping, Sequence, Union
 
 from cassandra_ros.arguments import check_list, check_ros_name, check_topics
-from cassandra_ros.errors import DefinitionError, InvalidOption, TopicNotFound
+from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.messages.stamps import Length
 from cassandra_ros.playing.play_times import PlayTime
 from cassandra_ros.playing.played_store import PlayedStore
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.event_finder import EventRule
+from cassandra_ros.topics.patterns import compiled, matching
 from cassandra_ros.topics.row_finder import Where
 
 _log = logging.getLogger(__name__)
@@ -151,37 +151,3 @@ class PublishedNames:
 
 def _with_slash(name: str) -> str:
     return name if name.startswith("/") else "/" + name
-
-
-def compiled(option: str, text: str) -> re.Pattern[str]:
-    """Compile the regular expression of an option; raises InvalidOption if it is not valid."""
-    try:
-        return re.compile(text, re.DOTALL)
-    except (re.error, OverflowError, RecursionError, TypeError) as exc:
-        raise InvalidOption(f"{option} {text!r:.80} is not a regular expression: {exc}") from exc
-
-
-def matching(
-    option: str, expressions: Iterable[str], names: AbstractSet[str], where: str
-) -> set[str]:
-    """Return the names that one of the expressions matches in full.
-
-    Args:
-        option: Name of the option, for error texts.
-        where: The place that holds the names, for error texts: 'keyspace ros'.
-
-    Raises:
-        InvalidOption: An expression is not valid.
-        TopicNotFound: An expression matches no name.
-    """
-    names_matching: set[str] = set()
-    for text in expressions:
-        pattern = compiled(option, text)
-        matches = {name for name in names if pattern.fullmatch(name)}
-        if not matches:
-            raise TopicNotFound(
-                f"no topic in {where} matches {text!r:.80}: an expression must match the whole "
-                f"name, as '/camera/.*'; it has {len(names)} topics"
-            )
-        names_matching |= matches
-    return names_matching
