@@ -47,7 +47,7 @@ def test_the_map_is_short():
 def test_every_room_is_on_the_map():
     table = MAP.split("## The rooms")[1].split("## ")[0]
     first_column = "".join(line.split("|")[1] for line in table.splitlines() if "|" in line)
-    rooms = {p.name for p in PACKAGE.iterdir() if p.is_dir() and p.name != "__pycache__"}
+    rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     assert set(re.findall(r"`(\w+)/`", first_column)) == rooms
     files = {p.name for p in PACKAGE.glob("*.py")} - {"__init__.py"}
     assert set(re.findall(r"`(\w+\.py)`", first_column)) == files
