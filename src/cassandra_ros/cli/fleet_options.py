@@ -9,19 +9,18 @@ import sys
 from typing import TYPE_CHECKING, Mapping
 
 from cassandra_ros.cli.far_times import check_times
-from cassandra_ros.cli.options import hurry_on_interrupt, read_seconds
+from cassandra_ros.cli.options import (
+    DEFAULT_CONSISTENCY,
+    hurry_on_interrupt,
+    open_store,
+    read_seconds,
+)
 from cassandra_ros.cli.parsers import Rare, error_line
-from cassandra_ros.store.connection.address import ANSWER_SEC
-
-if TYPE_CHECKING:
-    from cassandra_ros.stores.fleet.fleet import Fleet
-from typing import TYPE_CHECKING
-
-from cassandra_ros.cli.options import DEFAULT_CONSISTENCY, open_store
-from cassandra_ros.store.connection.address import read_place
+from cassandra_ros.store.connection.address import ANSWER_SEC, read_place
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.stores.fleet.fleet import Fleet
 
 
 STORE_MISSING = 3

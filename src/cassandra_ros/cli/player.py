@@ -20,10 +20,13 @@ Other nodes control the player by the services ~pause, ~resume, ~step, ~seek, ~s
 from __future__ import annotations
 
 import argparse
+import os
+import select
 import sys
+import termios
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.candidates import answer_shell
@@ -58,10 +61,6 @@ if TYPE_CHECKING:
     from cassandra_ros.playing.play_options import PlayerOptions
     from cassandra_ros.playing.play_selection import PlaySelection
     from cassandra_ros.stores.fleet.fleet import Fleet
-import os
-import select
-import termios
-from typing import Any
 
 PROGRAM = "player"
 SHOW_SEC = 0.1

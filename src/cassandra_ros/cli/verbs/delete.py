@@ -152,10 +152,8 @@ def _count(amounts: dict[str, _Amount]) -> int:
 def _table(amounts: dict[str, _Amount]) -> str:
     """Return a table of the topics that lose messages; '' = none does."""
     filled = {name: amount for name, amount in sorted(amounts.items()) if amount.messages}
-    header, rows = (
-        ["topic", "messages"],
-        [[shown(name), str(filled[name].messages)] for name in filled],
-    )
+    header = ["topic", "messages"]
+    rows = [[shown(name), str(amount.messages)] for name, amount in filled.items()]
     if any(amount.bytes is not None for amount in filled.values()):
         header.append("size")
         for row, amount in zip(rows, filled.values()):

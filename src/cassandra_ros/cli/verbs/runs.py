@@ -178,17 +178,17 @@ def _readable(value: object) -> object:
 
 
 def _graph(graph: NodeGraph) -> dict[str, object]:
-    def of(node: str, part: Graph) -> list[str]:
-        return sorted(name for name, nodes in part.items() if node in nodes)
+    def names_of(node: str, edges: Graph) -> list[str]:
+        return sorted(name for name, nodes in edges.items() if node in nodes)
 
-    def typed(node: str, part: Graph) -> dict[str, str]:
-        return {topic: graph.types.get(topic, "*") for topic in of(node, part)}
+    def types_of(node: str, edges: Graph) -> dict[str, str]:
+        return {topic: graph.types.get(topic, "*") for topic in names_of(node, edges)}
 
     return {
         node: {
-            "publishes": typed(node, graph.publishers),
-            "subscribes": typed(node, graph.subscribers),
-            "services": of(node, graph.services),
+            "publishes": types_of(node, graph.publishers),
+            "subscribes": types_of(node, graph.subscribers),
+            "services": names_of(node, graph.services),
         }
         for node in graph.nodes
     }

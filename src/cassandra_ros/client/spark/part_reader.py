@@ -11,15 +11,10 @@ from cassandra_ros.client.spark.part_plan import RobotTimeRange, SparkPartition
 from cassandra_ros.client.spark.store_login import StoreLogin
 from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.arrays.arrow_types import load_arrow
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.topics.run_finder import RunName
-
-if TYPE_CHECKING:
-    import pyarrow
-from typing import TYPE_CHECKING
-
-from cassandra_ros.query.arrays.arrow_types import load_arrow
 
 if TYPE_CHECKING:
     import pyarrow

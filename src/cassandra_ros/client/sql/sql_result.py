@@ -26,7 +26,7 @@ from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidQuery
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
 from cassandra_ros.printable import MOST_ROWS, html_table
-from cassandra_ros.query.arrays.arrow_types import Wanted, load_arrow, struct_of
+from cassandra_ros.query.arrays.arrow_types import Wanted, load_arrow, struct_of, wanted_columns
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import EVERYBODY, Whose
@@ -36,7 +36,6 @@ from cassandra_ros.topics.unknown_names import warn_of
 
 if TYPE_CHECKING:
     import pyarrow
-from cassandra_ros.query.arrays.arrow_types import wanted_columns
 
 Source = Union[TopicSource, ListSource, FrameSource]
 BATCH_ROWS = 4096

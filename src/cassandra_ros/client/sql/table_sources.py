@@ -9,31 +9,27 @@ itself. It pushes nothing into it, so that all conditions are checked by DuckDB.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, Sequence
+
+import numpy as np
 
 from cassandra_ros.client.sql.event_names import EVENT, EventNames, has_event_field
 from cassandra_ros.client.sql.pushed_conditions import EVERYTHING, PushedRead
 from cassandra_ros.errors import InvalidName
+from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
+from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_batches
 from cassandra_ros.query.arrays.arrow_types import Wanted
-from cassandra_ros.query.plan.pushdown import Pushdown, Watch
-from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
+from cassandra_ros.query.protocols import Table, UnpackedMessages
+from cassandra_ros.query.tree.syntax import Expression
+from cassandra_ros.read import Query, Read, Sift, TimeRange, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.keyspace import Keyspace
 
 if TYPE_CHECKING:
     import pyarrow
-from typing import Iterable
-
-import numpy as np
-
-from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
-from cassandra_ros.messages.wire.zones import zone_map
-from cassandra_ros.query.plan.pushdown import unwatched
-from cassandra_ros.query.protocols import Table, UnpackedMessages
-from cassandra_ros.query.tree.syntax import Expression
-from cassandra_ros.read import Query, Sift
 
 
 class TopicSource:
