@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 STORE_MISSING = 3
 """Exit status if a store of --store did not answer."""
+PLACE = "HOST[:PORT][/KEYSPACE]"
 
 
 def add_fleet_options(
@@ -113,9 +114,6 @@ def tell_missing(missing: Mapping[str, str], program: str = "cassandra_bag") -> 
         text = f"store {name} did not answer, what only it has is left out: {reason}"
         print(error_line(program, text), file=sys.stderr)
     return STORE_MISSING if missing else 0
-
-
-PLACE = "HOST[:PORT][/KEYSPACE]"
 
 
 def add_target_options(parser: argparse.ArgumentParser, option: str, help: str) -> None:  # noqa: A002

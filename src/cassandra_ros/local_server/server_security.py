@@ -37,6 +37,14 @@ _SECRETS = "secrets.json"
 _ALIAS = "cassandra"
 # For short-lived programs: the optimizing compiler would take longer than the program itself.
 _QUICK = ["-J-XX:TieredStopAtLevel=1", "-J-Xshare:auto"]
+_ROLES_TABLE = Path("data/system_auth/roles-5bc52802de2535edaeab188eecebb090")
+"""Folder of the table of roles in a node's directory. Its id is the same in every Cassandra."""
+_SUPERUSER_MARK = "superuser"
+"""Name of an empty file in a node's directory: the node has the password."""
+_ROLES_GENERATION = 1_000_000
+"""Number of the written file of the table, above those of a node that ran without a login."""
+_SUPERUSER_TIMEOUT_SEC = 120.0
+_SUPERUSER_FAILURE = "the password of Cassandra's superuser could not be set"
 
 
 class Security:
@@ -266,16 +274,6 @@ def write_private(path: Path, text: str) -> None:
     os.replace(draft, path)
 
 
-_TABLE = Path("data/system_auth/roles-5bc52802de2535edaeab188eecebb090")
-"""Folder of the table of roles in a node's directory. Its id is the same in every Cassandra."""
-_MARK = "superuser"
-"""Name of an empty file in a node's directory: the node has the password."""
-_GENERATION = 1_000_000
-"""Number of the written file of the table, above those of a node that ran without a login."""
-_TIMEOUT_SEC = 120.0
-_FAILURE = "the password of Cassandra's superuser could not be set"
-
-
 def set_superuser(
     directories: Sequence[Path], password: str, java: str, jars: Path, scratch: Path
 ) -> None:
@@ -296,7 +294,9 @@ def set_superuser(
     nodes = [
         node
         for node in directories
-        if not ((node / _MARK).exists() and (node / _TABLE).is_dir())  # its data may be gone
+        if not (
+            (node / _SUPERUSER_MARK).exists() and (node / _ROLES_TABLE).is_dir()
+        )  # its data may be gone
     ]
     if not nodes:
         return
@@ -309,17 +309,17 @@ def set_superuser(
             for node, draft in zip(nodes, drafts):
                 _move(draft, node)
     except OSError as exc:
-        raise ServerError(f"{_FAILURE}: {exc}") from exc
+        raise ServerError(f"{_SUPERUSER_FAILURE}: {exc}") from exc
 
 
 def _move(draft: Path, node: Path) -> None:
     node.mkdir(mode=0o700, exist_ok=True)
-    (node / _TABLE).mkdir(parents=True, exist_ok=True)
+    (node / _ROLES_TABLE).mkdir(parents=True, exist_ok=True)
     # Cassandra finds a file of a table by its part Data.db, which is therefore moved last.
     for file in sorted(draft.iterdir(), key=lambda path: path.name.endswith("Data.db")):
         version, _, rest = file.name.split("-", 2)
-        os.replace(file, node / _TABLE / f"{version}-{_GENERATION}-{rest}")
-    (node / _MARK).touch()
+        os.replace(file, node / _ROLES_TABLE / f"{version}-{_ROLES_GENERATION}-{rest}")
+    (node / _SUPERUSER_MARK).touch()
 
 
 def _write(drafts: list[Path], password: str, java: str, jars: Path, folder: Path) -> None:
@@ -333,9 +333,9 @@ def _write(drafts: list[Path], password: str, java: str, jars: Path, folder: Pat
     compiling = [*common, compiler, "-17", "-proc:none", "-nowarn"]
     compiling += ["-cp", os.pathsep.join(map(str, needed)), "-d", str(folder)]
     compiling.append(str(server_file("Superuser.java")))
-    run_to_end(compiling, {}, _TIMEOUT_SEC, _FAILURE)
+    run_to_end(compiling, {}, _SUPERUSER_TIMEOUT_SEC, _SUPERUSER_FAILURE)
     places = [f"-D{name}={folder}" for name in ("cassandra.storagedir", "cassandra.logdir")]
     logging = f"-Dlogback.configurationFile={server_file('logback.xml').as_uri()}"
     options = [*module_options(), *places, logging, f"-Djava.io.tmpdir={folder}"]
     words = [*common, *options, "Superuser", *map(str, drafts)]
-    run_to_end(words, {"SUPERUSER_PASSWORD": password}, _TIMEOUT_SEC, _FAILURE)
+    run_to_end(words, {"SUPERUSER_PASSWORD": password}, _SUPERUSER_TIMEOUT_SEC, _SUPERUSER_FAILURE)

@@ -34,6 +34,7 @@ MAX_TEXT = 1 << 20
 MAX_TYPES = 256
 
 _SEPARATOR = "=" * 80
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -227,9 +228,6 @@ def definition_of(msg_class: Any) -> Definition:
     except AttributeError as exc:
         raise DefinitionError(f"{msg_class!r} is not a ROS message class") from exc
     return parse_definition(msg_type, text, md5sum)
-
-
-_log = logging.getLogger(__name__)
 
 
 @lru_cache(maxsize=1024)

@@ -62,6 +62,8 @@ Say = Callable[[str], None]
 """Function that prints a line for the user."""
 Topics = Collection[str]
 """Names of topics."""
+CONTEXT_TIMEOUT_SEC = 5.0
+"""Maximum time for each of three answers of the master, s."""
 
 
 class Recorder:
@@ -566,10 +568,6 @@ def log_name(wire: bytes) -> str:
         return ""
 
 
-TIMEOUT_SEC = 5.0
-"""Maximum time for each of three answers of the master, s."""
-
-
 def take_context() -> RunContext:
     """Return parameters and node graph of the master.
 
@@ -577,7 +575,7 @@ def take_context() -> RunContext:
         MASTER_ERRORS: The master does not answer.
         ValueError: The answer of the master has another form.
     """
-    name, master = rospy.get_name(), master_proxy(TIMEOUT_SEC)
+    name, master = rospy.get_name(), master_proxy(CONTEXT_TIMEOUT_SEC)
     _, _, params = master.getParam(name, "/")
     _, _, (publishers, subscribers, services) = master.getSystemState(name)
     _, _, types = master.getTopicTypes(name)

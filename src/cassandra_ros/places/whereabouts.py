@@ -25,6 +25,9 @@ from cassandra_ros.query.protocols import Disk
 from cassandra_ros.read import Writers
 from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square
 
+_EARLIER_NS = LONGEST_NS + JOIN_NS
+"""How long before a time a visit that lasts until then may have begun, ns."""
+
 
 class RegionStays:
     """Times at which the robots of some nodes were in a region; see query.protocols.Stays.
@@ -210,10 +213,6 @@ class Whereabouts:
         return [e for e in extents if robot.writers is None or e.writer in robot.writers]
 
 
-_FIRST = LONGEST_NS + JOIN_NS
-"""How long before a time a visit that lasts until then may have begun, ns."""
-
-
 class Coverage:
     """Finds the times at which robots of a keyspace may have been in a region."""
 
@@ -250,7 +249,7 @@ class Coverage:
         self, robot: Robot, cells: Sequence[GroundCell], low: int, high: int
     ) -> Iterable[NsRange]:
         squares = [Square(robot.frame, key, *cell) for key in robot.keys for cell in cells]
-        return self._index.visits(squares, robot.node, max(0, low) - _FIRST, high)
+        return self._index.visits(squares, robot.node, max(0, low) - _EARLIER_NS, high)
 
 
 def is_valid(record: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> bool:

@@ -38,6 +38,8 @@ _LAST_RUN = 10**9
 """Number above that of any run of a recording: with it the name is checked before the start."""
 MAX_LATCHED = 4096
 """Maximum number of publishers whose latched message is repeated in each run."""
+SPACE_WARN_FACTOR = 5
+"""Multiple of the minimum space below which a warning is logged."""
 
 
 class _RunStart:
@@ -389,10 +391,6 @@ class RunSeries:
             return merge_reports(reports)
 
 
-WARN_FACTOR = 5
-"""Multiple of the minimum space below which a warning is logged."""
-
-
 class SpaceGuard:
     """A check whether the store has enough free space for more messages.
 
@@ -420,7 +418,7 @@ class SpaceGuard:
         sizes = f"{free >> 20} MB are free where the store keeps its data"
         if free < self._minimum:
             return f"{sizes}, less than {self._minimum >> 20} MB (option --min-space)"
-        if free < WARN_FACTOR * self._minimum and not self._warned:
+        if free < SPACE_WARN_FACTOR * self._minimum and not self._warned:
             self._warned = True
             _log.warning("only %s; below %d MB no message is stored", sizes, self._minimum >> 20)
         return ""

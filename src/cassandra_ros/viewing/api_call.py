@@ -32,6 +32,17 @@ from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
 _FLAGS = {"": True, "1": True, "true": True, "0": False, "false": False}
+TOPICS = Parameter("topics", "texts", "Names of topics; missing: all topics that can be read.")
+NODES = Parameter("nodes", "texts", "nodeIDs of robots; missing: all robots.")
+RUNS = Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs.")
+START = Parameter("start", "time", "First time, included.")
+END = Parameter("end", "time", "Last time, included.")
+TIME = Parameter("time", "time", "Time that is shown first.")
+WHOLE_RANGE = (
+    Parameter("start", "time", "First time, included; missing: that of the first message."),
+    Parameter("end", "time", "Last time, included; missing: that of the last message."),
+)
+"""Time range of routes that take all messages without it."""
 
 
 class ApiCall:
@@ -218,19 +229,6 @@ def _read_flag(text: str) -> bool:
     if text.lower() not in _FLAGS:
         raise ValueError(text)
     return _FLAGS[text.lower()]
-
-
-TOPICS = Parameter("topics", "texts", "Names of topics; missing: all topics that can be read.")
-NODES = Parameter("nodes", "texts", "nodeIDs of robots; missing: all robots.")
-RUNS = Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs.")
-START = Parameter("start", "time", "First time, included.")
-END = Parameter("end", "time", "Last time, included.")
-TIME = Parameter("time", "time", "Time that is shown first.")
-WHOLE_RANGE = (
-    Parameter("start", "time", "First time, included; missing: that of the first message."),
-    Parameter("end", "time", "Last time, included; missing: that of the last message."),
-)
-"""Time range of routes that take all messages without it."""
 
 
 def tables_of(call: ApiCall) -> list[TopicTable]:

@@ -34,6 +34,7 @@ _POLL_SEC = 0.01
 """Interval at which the end checks for running handlers, s."""
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
+_CHUNK_BYTES = 1 << 18
 
 
 class HandlerThreads:
@@ -204,9 +205,6 @@ def _work(route: Route, call: ApiCall) -> Bytes | CachedFile | _Chunks:
             chunks.close()
         return chunks
     return Bytes(json_bytes(answer), "application/json")
-
-
-_CHUNK_BYTES = 1 << 18
 
 
 async def send_file(request: web.Request, file: CachedFile) -> web.StreamResponse:

@@ -29,6 +29,10 @@ MAX_LINE_BYTES = 64 * 1024
 """Maximum length of an address, bytes. It may name hundreds of topics; aiohttp allows 8 KB."""
 LAST_ANSWERS_SEC = 0.5
 """Maximum time at the end for answers that are being sent, s."""
+_ACCEPTING_SEC = 1.0
+"""Maximum time from the acceptance of a connection until the server lists it, s."""
+_REFUSED_SEC = 1.0
+"""Time that a connection above the limit has to send its request before it is closed, s."""
 
 
 def serve(
@@ -126,12 +130,6 @@ def _why_not(settings: ViewerSettings, error: OSError) -> str:
         return f"{where}: you may not listen there; give --port of 1024 or more"
     hint = "" if is_loopback(settings.host) else ": --host is an address of this machine"
     return f"the viewer cannot listen on {where}{hint} ({error.strerror or error})"
-
-
-_ACCEPTING_SEC = 1.0
-"""Maximum time from the acceptance of a connection until the server lists it, s."""
-_REFUSED_SEC = 1.0
-"""Time that a connection above the limit has to send its request before it is closed, s."""
 
 
 class Clients:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 
 _EVERYTHING = RobotTimeRange()
+_SIGNED = {"uint8": "int16", "uint16": "int32", "uint32": "int64"}
+_UINT64_DIGITS = 20
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,6 @@ class PartReader:
                 "make it anew"
             )
         yield from reader
-
-
-_SIGNED = {"uint8": "int16", "uint16": "int32", "uint32": "int64"}
-_UINT64_DIGITS = 20
 
 
 def spark_schema(schema: pyarrow.Schema) -> pyarrow.Schema:

@@ -31,6 +31,8 @@ from cassandra_ros.topics.keyspace import Keyspace
 if TYPE_CHECKING:
     import pyarrow
 
+_FLOATS = ("float32", "float64")
+
 
 class TopicSource:
     """The messages of a topic as a table.
@@ -202,9 +204,6 @@ class ListSource:
             for values, field in zip(columns, self.columns)
         ]
         return self._arrow.Table.from_arrays(arrays, schema=self.columns).__arrow_c_stream__()
-
-
-_FLOATS = ("float32", "float64")
 
 
 class ConditionChooser:

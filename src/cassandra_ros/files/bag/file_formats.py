@@ -15,7 +15,7 @@ from cassandra_ros.files.bag.bag_reader import BagReader
 from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.files.bag.file_writer import FileWriter
 from cassandra_ros.files.bag.identity import read_content
-from cassandra_ros.files.bag.mcap_reader import METADATA, SQLITE_MAGIC, McapReader, refusal
+from cassandra_ros.files.bag.mcap_reader import ROSBAG2_METADATA, SQLITE_MAGIC, McapReader, refusal
 from cassandra_ros.files.bag.mcap_writer import McapWriter
 from cassandra_ros.files.bag.message_file import MessageFile
 from cassandra_ros.store.tables.registry import Run
@@ -42,7 +42,7 @@ def files_of(
     Raises:
         BagError: The folder holds no bag or MCAP file, or a folder cannot be listed.
     """
-    if not os.path.isdir(path) or os.path.exists(os.path.join(path, METADATA)):
+    if not os.path.isdir(path) or os.path.exists(os.path.join(path, ROSBAG2_METADATA)):
         return [path]
     endings = tuple(
         ending + more for ending in _ENDINGS for more in ("", _UNFINISHED)[: 1 + unfinished]
@@ -81,7 +81,7 @@ def open_file(
             cannot be read; see BagReader and McapReader.
     """
     name = os.fspath(path)
-    if os.path.exists(os.path.join(name, METADATA)):
+    if os.path.exists(os.path.join(name, ROSBAG2_METADATA)):
         raise refusal(name)
     try:
         with open(name, "rb") as file:

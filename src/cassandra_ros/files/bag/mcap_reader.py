@@ -36,8 +36,13 @@ _LOOSE_BYTES = 1 << 20
 """Maximum size of consecutive messages outside of chunks that are read at once, bytes."""
 _LATE = "their log_time lies after the year 2106, in which the time of ROS 1 ends"
 _KINDS = frozenset(map(int, Opcode))
-_EXTRAS = {int(Opcode.ATTACHMENT): "attachments", int(Opcode.METADATA): "records of metadata"}
+_EXTRAS = {
+    int(Opcode.ATTACHMENT): "attachments",
+    int(Opcode.METADATA): "records of metadata",
+}
 """Kinds of records that cannot be stored -> their name in warnings."""
+ROSBAG2_METADATA = "metadata.yaml"
+SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
 @dataclass
@@ -489,14 +494,10 @@ class McapReader(MessageFile):
         )
 
 
-METADATA = "metadata.yaml"
-SQLITE_MAGIC = b"SQLite format 3\x00"
-
-
 def refusal(path: str) -> BagError:
     """Return the error for a file or folder of rosbag2; it says how to convert it to ROS 1."""
     folder = path if os.path.isdir(path) else os.path.dirname(path) or "."
-    whole = folder if os.path.exists(os.path.join(folder, METADATA)) else path
+    whole = folder if os.path.exists(os.path.join(folder, ROSBAG2_METADATA)) else path
     return BagError(
         f"{path} is a bag of ROS 2 (rosbag2); its messages are not those of ROS 1, which are kept "
         "here: convert it with 'pip install rosbags' and 'rosbags-convert --src "

@@ -68,6 +68,14 @@ FIRST: Order = (-(2**63), MIN_SEQ)
 LAST: Order = (2**63 - 1, MAX_SEQ)
 ALL = (FIRST, LAST)
 """Range of a whole partition."""
+Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
+"""Encoded values of the format's columns (None = unset), whether the row must be marked odd, and
+the message if the columns cannot give it back."""
+Indexed = Tuple[Sequence[Optional[bytes]], bool]
+"""Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
+Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
+"""Encoded values of the zone columns (None = unset), names of the fields with a NaN value (sorted),
+and whether the block must be marked odd."""
 
 
 class NewRow(NamedTuple):
@@ -536,16 +544,6 @@ def bind(
     if page_rows is not None:
         bound.fetch_size = page_rows
     return bound
-
-
-Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
-"""Encoded values of the format's columns (None = unset), whether the row must be marked odd, and
-the message if the columns cannot give it back."""
-Indexed = Tuple[Sequence[Optional[bytes]], bool]
-"""Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
-Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
-"""Encoded values of the zone columns (None = unset), names of the fields with a NaN value (sorted),
-and whether the block must be marked odd."""
 
 
 class RowEncoder(Protocol):
