@@ -43,9 +43,13 @@ ONE_COMPILER = "-XX:TieredStopAtLevel=1"
 
 # Nothing is synced to the disk of the server that all share: it is never killed, those that are
 # have their own. A table is made in a third of the time. Here the second compiler pays: each change
-# of the schema reads all of it, which takes a quarter less of the processor then.
+# of the schema reads all of it, which takes a quarter less of the processor then. But it took a
+# sixth of the server's time; with four times the usual thresholds it compiles less, and an eighth
+# of the server's time is saved.
 SHARED = (
     "-XX:+UseTransparentHugePages "
+    "-XX:Tier4InvocationThreshold=20000 -XX:Tier4MinInvocationThreshold=2400 "
+    "-XX:Tier4CompileThreshold=60000 -XX:Tier4BackEdgeThreshold=160000 "
     "-Dcassandra.unsafesystem=true -Dcassandra.config.allow_system_properties=true "
     "-Dcassandra.settings.commitlog_sync=periodic "
     "-Dcassandra.settings.commitlog_sync_period=10000ms"

@@ -171,6 +171,7 @@ FEW = ("bag many", "mcap zstd lie")
 """Those of make test."""
 
 
+@pytest.mark.suite("test", "a process of its own, to see its memory")
 @pytest.mark.parametrize("bomb", sparing(BOMBS, FEW))
 def test_a_bomb_is_refused_in_little_memory(tmp_path, bomb):
     path = BOMBS[bomb](tmp_path / "a")

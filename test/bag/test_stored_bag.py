@@ -706,6 +706,7 @@ FILTERS = [None, "", [], [""], *ODD_NAMES, "b", "/b", "///", "/a///b", "a/", "//
 FILTERS += [RANDOM.sample(ODD_NAMES, n % 5 + 1) for n in range(10)]
 
 
+@pytest.mark.suite("test", "each filter beside rosbag")
 def test_filters_select_what_rosbag_selects(odd):
     path, store = odd
     with rosbag.Bag(str(path)) as truth, cassandra_ros.Bag(str(path), rosCas=store) as bag:

@@ -35,6 +35,7 @@ def damages(call, *options):
     return {(each["kind"], each["topic"], each["mended"]) for each in found["damages"]}
 
 
+@pytest.mark.suite("test", "each kind of damage that check mends")
 def test_check(store, call, cql, connect):
     status, out, err = call("check")
     assert (status, err) == (0, "")

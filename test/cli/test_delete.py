@@ -36,6 +36,7 @@ def counts(store):
     return {topic.name: topic.countTopicData() for topic in store.getAllTopics()}
 
 
+@pytest.mark.suite("test", "each way to say what is deleted")
 def test_delete(store, call, type_in, monkeypatch):
     def end(n):
         return f"{T0 // SECOND_NS + n}"

@@ -183,6 +183,7 @@ def test_statements_are_answered_over_messages_that_count_once(
     assert not found.partial
 
 
+@pytest.mark.suite("test", "messages of several stores that count once")
 def test_messages_and_single_ones(mixed):
     fleet, whole = mixed
     topic = whole.getTopic("t0")

@@ -190,6 +190,7 @@ def test_statements_are_answered_page_by_page_as_of_one_store(mixed, statement):
     assert pages(viewer) == pages(one)
 
 
+@pytest.mark.suite("test", "the Ask page of a fleet")
 def test_ask_restricts_completes_and_plots(mixed):
     viewer, one, _ = mixed
     window = {"start": str(T0 + SEC), "end": str(T0 + 4 * SEC)}

@@ -395,6 +395,7 @@ def test_a_failure_of_java_itself_is_shown(folder):
         cluster.wait()
 
 
+@pytest.mark.suite("test", "clear")
 def test_one_that_is_cleared_is_new(folder):
     """Last: nothing is left of the data, and the jars stay."""
     cluster = make(folder, heap="512M")

@@ -227,6 +227,7 @@ def test_a_publisher_that_changes_its_type(roscore, recorder, rosCas):
     assert wires(rosCas, "/other") == [text(1), text(2)]
 
 
+@pytest.mark.suite("test", "promise 3, with a real publisher")
 @pytest.mark.parametrize("form", sparing(FORMATS, kept=["ros"]))
 def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
     child = recorder("/lost", "--format", form)
@@ -315,6 +316,7 @@ def test_warnings_reach_rosout(roscore, recorder, rosCas):
     assert child.end() == 0, child.output
 
 
+@pytest.mark.suite("test", "Ctrl-C loses nothing")
 @pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGINT]))
 def test_signals_drain(roscore, recorder, rosCas, number):
     sent = [message(String("y" * 1000 + str(n))) for n in range(5000)]
@@ -389,6 +391,7 @@ def test_simulated_time(roscore, recorder, rosCas):
     assert "1 message was lost" in child.output
 
 
+@pytest.mark.suite("test", "--limit")
 def test_limit_and_duration(roscore, recorder, rosCas):
     child = recorder("/a", "/b", "-l", "3")
     with publisher(roscore, "/a", name="/a") as a, publisher(roscore, "/b", name="/b") as b:
@@ -416,6 +419,7 @@ def test_all_and_exclude(roscore, recorder, rosCas):
     assert not any("secret" in name or name == "/rosout_agg" for name in names)
 
 
+@pytest.mark.suite("test", "-e")
 def test_regular_expressions(roscore, recorder, rosCas):
     with publisher(roscore, "/cam/1", name="/c1") as one, publisher(
         roscore, "/cam/1/info", name="/c2"

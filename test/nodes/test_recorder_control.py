@@ -241,6 +241,7 @@ def test_dry_run_names_a_field_that_a_type_lacks(roscore, recorder, rosCas):
     assert any(line.startswith("/text ") for line in child.lines)
 
 
+@pytest.mark.suite("test", "the parameters of the recorder")
 def test_parameters_mirror_options(roscore, recorder, rosCas):
     master = xmlrpc.client.ServerProxy(roscore.uri)
     given = {"topics": ["/a"], "name": "by_param", "labels": ["x=1", "y=2"], "limit": 1}

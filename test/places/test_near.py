@@ -254,6 +254,7 @@ def store_drive(store, node, runs, times, by_tf):
                     writer.put("/odom", t, odometry(x, y, "map"))
 
 
+@pytest.mark.suite("test", "NEAR, counted by hand")
 @given(drives(), st.tuples(SPOTS, SPOTS, st.sampled_from([0.0, 1.0, 5.0, 12.0])), st.booleans())
 @search(24, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_near_is_what_is_counted_by_hand(drive_stores, drive, disk, by_tf):

@@ -154,6 +154,7 @@ def test_pivot_is_a_statement_of_its_own(robot, pivot):
     assert sorted(robot.sql(pivot).fetchall()) == sorted(whole)
 
 
+@pytest.mark.suite("test", "SQL over each kind of format")
 def test_odd_names_texts_and_times_are_shown(rosCas):
     """Names that differ by case only, text that is not UTF-8, and times at the end of ROS time."""
     definition = parse_definition("t/Odd", "int32 a\nint32 A\nint32 key\nstring s\ntime t", None)
