@@ -48,6 +48,7 @@ def test_a_short_silence_is_not_told_and_a_long_one_every_minute(clock, caplog):
     outage = Outage("here")
     outage.failed(OperationTimedOut("late"), 0.0)
     clock.now += GRACE_SEC / 2
+    assert not outage.is_current
     outage.failed(OperationTimedOut("late"), GRACE_SEC / 2)
     outage.answered()
     assert caplog.records == []
@@ -55,3 +56,14 @@ def test_a_short_silence_is_not_told_and_a_long_one_every_minute(clock, caplog):
         clock.now = 1000.0 + second
         outage.failed(OperationTimedOut("late"), second)
     assert ["still" in record.getMessage() for record in caplog.records] == [False, True, True]
+
+
+def test_an_outage_lasts_from_the_first_failure_whether_it_was_logged_or_not(clock, caplog):
+    outage = Outage("here")
+    clock.now = 100.0
+    outage.failed(OperationTimedOut("late"), 0.0)
+    clock.now += GRACE_SEC + 1  # the next attempt is still on its way
+    assert caplog.records == []
+    assert outage.seconds > GRACE_SEC and outage.is_current
+    outage.answered()
+    assert outage.seconds == 0 and not outage.is_current

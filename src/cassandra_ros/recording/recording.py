@@ -220,7 +220,7 @@ class Recording:
         Raises:
             CassandraRosError: The store does not take the run.
         """
-        if may_wait and self._store.result().keyspace.cassandra.outage.seconds:
+        if may_wait and self._store.result().keyspace.cassandra.outage.is_current:
             return
         try:
             self._open()
@@ -254,12 +254,12 @@ class Recording:
 
     @property
     def is_held_up(self) -> bool:
-        """Whether the store does not answer now."""
-        return not self.opened or self._store.result().keyspace.cassandra.outage.seconds > 0
+        """Whether the run has not started in the store, or the store does not answer now."""
+        return not self.opened or self._store.result().keyspace.cassandra.outage.is_current
 
     def _is_away(self) -> bool:
         """Return whether the store does not answer, and messages are on their way to it."""
-        if not self.opened or not self._store.result().keyspace.cassandra.outage.seconds:
+        if not self.opened or not self._store.result().keyspace.cassandra.outage.is_current:
             return False
         return self._has_pending()
 

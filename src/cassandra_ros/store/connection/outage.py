@@ -90,9 +90,14 @@ class Outage:
 
     @property
     def seconds(self) -> float:
-        """How long the outage has lasted, s; 0 = the store answers."""
+        """Time since the first failure after the last answer, s; 0 = no request has failed."""
         since = self._failing_since
-        return 0.0 if since is None or self._told is None else time.monotonic() - since
+        return 0.0 if since is None else time.monotonic() - since
+
+    @property
+    def is_current(self) -> bool:
+        """Whether requests have failed for GRACE_SEC and none was answered, logged or not."""
+        return self.seconds >= GRACE_SEC
 
     def failed(self, exc: BaseException, trying_sec: float) -> None:
         """Note that a request failed ``trying_sec`` seconds after its first attempt."""
