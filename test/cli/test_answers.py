@@ -114,7 +114,7 @@ def test_indexes_and_which_is_not_finished(call, rosCas, three_topics):
     assert json.loads(call("index", "--list", "--json")[1]) == []
     assert call("index", "--list")[1] == "there is no index\n"
     # A table whose writer was killed before it was filled.
-    rosCas.catalog.keyspace.indexes.add("/tf", "data", lambda metadata: "text")
+    rosCas.catalog.keyspace.indexes.add_index("/tf", "data", lambda metadata: "text")
     status, out, _ = call("index", "--list", "/tf")
     lines = out.splitlines()
     assert (status, lines[1].split()) == (0, ["/tf", "data", "2", "2", "not", "finished"])

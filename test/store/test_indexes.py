@@ -21,8 +21,8 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata, from_comment
 from cassandra_ros.store.rows.backfill import Backfill, ShadowUpdate
+from cassandra_ros.store.tables import index_builds
 from cassandra_ros.store.tables import schema as schema_module
-from cassandra_ros.store.tables import table_files
 from cassandra_ros.store.tables.directory import BucketTotals
 from cassandra_ros.store.tables.side_tables import SchemaLock
 
@@ -44,7 +44,9 @@ def store(rosCas, name, count, cls=String, **options):
 
 def add(rosCas, table, cql_type="text", field="data"):
     """Make an index without filling it; return its column."""
-    rosCas.catalog.keyspace.indexes.add(table.metadata.topic, field, lambda metadata: cql_type)
+    rosCas.catalog.keyspace.indexes.add_index(
+        table.metadata.topic, field, lambda metadata: cql_type
+    )
     return rosCas.catalog.keyspace.tables.by_name(table.name).metadata.indexes[field]
 
 
@@ -259,8 +261,10 @@ def test_no_index_is_made_while_files_are_merged(rosCas, cql, monkeypatch):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
     with monkeypatch.context() as busy:
-        busy.setattr(table_files, "QUIET_SEC", 0.2)
-        busy.setattr(table_files.TableFiles, "tasks", lambda *args: {"node": [("compaction", 0.5)]})
+        busy.setattr(index_builds, "QUIET_SEC", 0.2)
+        busy.setattr(
+            index_builds.IndexBuilds, "tasks", lambda *args: {"node": [("compaction", 0.5)]}
+        )
         with pytest.raises(StoreUnavailable, match="compaction, 50 % done"):
             topic.createIndex("data")
     assert index_names(cql, rosCas, table) == set()
@@ -277,7 +281,7 @@ def test_a_pause_that_fails_is_told(rosCas, cql, monkeypatch, caplog, step):
         raise StoreUnavailable("the server is gone")
 
     with monkeypatch.context() as broken:
-        broken.setattr(table_files.TableFiles, step, gone)
+        broken.setattr(index_builds.IndexBuilds, step, gone)
         with pytest.raises(StoreUnavailable, match="is gone"):
             topic.createIndex("data")
     assert len(warnings(caplog)) == 1 and index_names(cql, rosCas, table) == set()
@@ -292,9 +296,9 @@ def busy(monkeypatch):
     @contextmanager
     def nobody_begins():
         with monkeypatch.context() as patched:
-            for module in (table_files, schema_module):
+            for module in (index_builds, schema_module):
                 patched.setattr(module, "BUILD_SEC", 0)
-            patched.setattr(table_files, "begun", lambda names, *state: not names)
+            patched.setattr(index_builds, "begun", lambda names, *state: not names)
             yield
 
     return nobody_begins
@@ -390,7 +394,7 @@ def test_an_index_that_no_comment_lists_is_waited_for(rosCas, cql, busy, again):
     ask = {
         "its own": lambda: add(rosCas, table, "text", "other"),
         "another": lambda: topic.createIndex("data"),
-        "of another type": lambda: rosCas.catalog.keyspace.indexes.add(
+        "of another type": lambda: rosCas.catalog.keyspace.indexes.add_index(
             "/t", "third", lambda metadata: None
         ),
         "removed": lambda: topic.removeIndex("data"),
@@ -441,7 +445,7 @@ BUILT, WAITING = False, True
     ],
 )
 def test_when_a_node_has_begun(listed, at_work, expected):
-    assert table_files.begun({"a", "b"}, listed, at_work) is expected
+    assert index_builds.begun({"a", "b"}, listed, at_work) is expected
 
 
 def watch_a_build(rosCas, monkeypatch, topic, rows):
@@ -453,10 +457,10 @@ def watch_a_build(rosCas, monkeypatch, topic, rows):
         seen.append((set(names), dict(listed), at_work))
         return listed == dict.fromkeys(names, False)
 
-    monkeypatch.setattr(table_files, "begun", look)
-    monkeypatch.setattr(table_files, "PAUSE_SEC", 0)
+    monkeypatch.setattr(index_builds, "begun", look)
+    monkeypatch.setattr(index_builds, "PAUSE_SEC", 0)
     with SchemaLock(cassandra, keyspace) as lock, ThreadPoolExecutor(1) as other:
-        files = table_files.TableFiles(cassandra, keyspace, table.name, lock)
+        builds = index_builds.IndexBuilds(cassandra, keyspace, table.name, lock)
         # The first writes the rows to a file, the second is built from it.
         for column in ("_conn", "_size"):
             seen.clear()
@@ -466,7 +470,7 @@ def watch_a_build(rosCas, monkeypatch, topic, rows):
             made = other.submit(
                 cassandra.schema_change, f"CREATE INDEX {index} USING 'sai'", what="making an index"
             )
-            files.await_builds(names, 600)
+            builds.await_builds(names, 600)
             made.result()
     monkeypatch.undo()
     return [look for look in seen if any(look[1].values())]
@@ -478,7 +482,7 @@ def test_a_build_is_known_by_its_name(rosCas, monkeypatch):
     # A build may end between two looks; that of more rows takes longer.
     for rows in (30_000, 60_000, 120_000, 240_000):
         waiting = watch_a_build(rosCas, monkeypatch, f"/of_{rows}", rows)
-        if any(table_files.begun(*look) for look in waiting):
+        if any(index_builds.begun(*look) for look in waiting):
             return
     pytest.fail(f"a build was never listed: {waiting[-5:]}")
 

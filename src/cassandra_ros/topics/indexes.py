@@ -43,7 +43,7 @@ def create_index(
     """Make an index, or complete it; see CassandraTopic.createIndex."""
     space.schema.tables(fresh=True)
     check_indexable(topic, space.tables.of_topic(topic), field)
-    space.indexes.add(topic, field, lambda metadata: _type_of(metadata, field))
+    space.indexes.add_index(topic, field, lambda metadata: _type_of(metadata, field))
     adder.close()  # its open buckets could not be filled
     return IndexFilling(space.directory, field, progress).fill(space.tables.of_topic(topic))
 
@@ -97,7 +97,7 @@ def remove_index(space: Keyspace, topic: str, field: str) -> None:
     fields = sorted({name for table in tables for name in table.metadata.indexes})
     if tables and field not in fields:
         check_indexable(topic, tables, field)
-    if not space.indexes.drop(topic, field):
+    if not space.indexes.drop_index(topic, field):
         hint = nearest_fields(field, fields) if fields else "it has none"
         raise InvalidName(f"topic {topic} has no index on {field!r}; {hint}")
 

@@ -14,7 +14,7 @@ from typing import Callable
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.store.connection.cql_names import quote_name
-from cassandra_ros.store.tables import table_files
+from cassandra_ros.store.tables import index_builds
 from cassandra_ros.store.tables.schema import Schema
 from cassandra_ros.store.tables.side_tables import SchemaLock
 
@@ -29,18 +29,18 @@ class IndexChanges:
     def __init__(self, schema: Schema) -> None:
         self._schema = schema
 
-    def add(self, topic: str, field: str, type_of: TypeOf) -> None:
-        """Make an index in every table of a topic that can have it; complete an unfinished one."""
+    def add_index(self, topic: str, field: str, type_of: TypeOf) -> None:
+        """Make the index on a field in each table of a topic that can have it, or complete it."""
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
                 cql_type, shadow = type_of(metadata), metadata.indexes.get(field)
-                files = self._schema.files(table, lock)
+                builds = self._schema.index_builds(table, lock)
                 if shadow is None and cql_type is not None:
                     self._add_to(table, metadata, field, cql_type, lock)
-                elif shadow is not None and table + shadow not in files.indexes():
+                elif shadow is not None and table + shadow not in builds.indexes():
                     self._make(table, shadow, lock)
                 else:
-                    files.resume()  # a client that died may have left it paused
+                    builds.resume_merging()  # a client that died may have left it paused
         self._schema.tables(fresh=True)
 
     def _add_to(
@@ -61,43 +61,55 @@ class IndexChanges:
 
     def _make(self, table: str, shadow: str, lock: SchemaLock) -> None:
         """Make an index; replace one that was left by a client that died before it was listed."""
-        index, files = table + shadow, self._schema.files(table, lock)
-        names = files.indexes()
+        index, builds = table + shadow, self._schema.index_builds(table, lock)
+        names = builds.indexes()
         if index in names:
             # The old index may miss rows. If its build is still waiting, it would run without it.
-            files.await_builds(names, table_files.BUILD_SEC)
-            files.drop(index)
-        files.pause()
+            builds.await_builds(names, index_builds.BUILD_SEC)
+            builds.drop_index(index)
+        builds.pause_merging()
         conflict = None
         # After an error it is not known whether and when the nodes make and build the index.
-        with files.told():
+        with builds.paused_told():
             lock.renew()
             try:
                 self._schema.create_sai_index(table, shadow)
             except SchemaConflict as exc:
                 conflict = exc
-            files.resume()
+            builds.resume_merging()
         if conflict:
             raise conflict
 
-    def drop(self, topic: str, field: str) -> bool:
-        """Drop an index in all tables of a topic, and unlisted ones.
+    def drop_index(self, topic: str, field: str) -> bool:
+        """Drop the index on a field in all tables of a topic; return whether any index was dropped.
 
-        Return whether there was any.
+        In the same tables the indexes are dropped that no comment lists: a client that died while
+        it made or dropped one has left it. The other indexes stay. Where merging is paused, it is
+        resumed first, which waits until all builds of the table have begun.
+
+        Raises:
+            StoreUnavailable: A build of one of the tables does not begin. What was dropped before
+                stays dropped; the call may be repeated.
         """
         has_dropped = False
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
-                # First resume merging: an index build that waits goes on without its index.
-                files = self._schema.files(table, lock)
-                files.resume()
+                # Before the drop: an index build that waits goes on without its index.
+                self._schema.index_builds(table, lock).resume_merging()
                 if field in metadata.indexes:
                     metadata = metadata.without_index(field)
                     self._schema.set_comment(table, metadata, lock)
                     has_dropped = True
-                own_names = {table + shadow for shadow in metadata.indexes.values()}
-                for name in files.indexes() - own_names:
-                    files.drop(name)
+                if self._drop_unlisted(table, metadata, lock):
                     has_dropped = True
         self._schema.tables(fresh=True)
         return has_dropped
+
+    def _drop_unlisted(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> bool:
+        """Drop the indexes of a table that its comment does not list; return whether any was."""
+        builds = self._schema.index_builds(table, lock)
+        listed = {table + shadow for shadow in metadata.indexes.values()}
+        unlisted = builds.indexes() - listed
+        for index in unlisted:
+            builds.drop_index(index)
+        return bool(unlisted)

@@ -25,9 +25,9 @@ from cassandra_ros.store.connection.cql_names import (
     quote_text,
     table_name,
 )
+from cassandra_ros.store.tables.index_builds import IndexBuilds
 from cassandra_ros.store.tables.row_table import RowTable
 from cassandra_ros.store.tables.side_tables import SchemaLock, SideTables
-from cassandra_ros.store.tables.table_files import TableFiles
 
 
 class TableListing:
@@ -349,14 +349,14 @@ class Schema:
 
     def _finish(self, name: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
         """List a table by its comment and let its files be merged, after its indexes were built."""
-        merged, files = True, self.files(name, lock)
+        merged, builds = True, self.index_builds(name, lock)
         try:
-            files.await_builds({name + shadow for shadow in metadata.indexes.values()}, BUILD_SEC)
+            builds.await_builds({name + shadow for shadow in metadata.indexes.values()}, BUILD_SEC)
         except CassandraRosError as exc:
             # Not a reason to lose the messages that wait for the table.
             merged = False
             _log.warning("topic %s: %s", metadata.topic, exc)
-            files.tell()
+            builds.tell_paused()
         comment = quote_text(metadata.to_comment())
         lock.change(
             f"ALTER TABLE {self.qualified(name)} WITH comment = {comment} "
@@ -364,9 +364,9 @@ class Schema:
             what=f"finishing the table of topic {metadata.topic}",
         )
 
-    def files(self, table: str, lock: SchemaLock) -> TableFiles:
-        """Return the files of a table on the nodes."""
-        return TableFiles(self._cassandra, self.keyspace, table, lock)
+    def index_builds(self, table: str, lock: SchemaLock) -> IndexBuilds:
+        """Return the builds of a table's indexes on the nodes."""
+        return IndexBuilds(self._cassandra, self.keyspace, table, lock)
 
     def create_sai_index(self, table: str, shadow: str) -> None:
         """Make the index on a shadow column if it is missing; under the lock."""

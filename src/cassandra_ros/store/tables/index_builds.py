@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The files of a table on the nodes: merging them, and building its indexes from them.
+"""Builds of the indexes of a table on the nodes, and merges of its files, which must not overlap.
 
 If an index is made just while a merge ends, Cassandra 5.0.8 takes the new file for a broken one and
 drops it from all indexes of the table: rows in it are not found any more, without an error. Each
@@ -32,10 +32,11 @@ _ENABLED = "enabled"
 _BUILD = "secondary index build"
 
 
-class TableFiles:
-    """The files of one table on all reachable nodes; used under the schema lock.
+class IndexBuilds:
+    """Pauses merges for the builds of one table's indexes, and waits for these builds.
 
-    If a client dies while merging is paused, it stays paused until another client calls ``resume``.
+    It acts on all reachable nodes, under the schema lock. If a client dies while merging is paused,
+    it stays paused until another client calls ``resume_merging``.
     """
 
     def __init__(self, cassandra: Cassandra, keyspace: str, table: str, lock: SchemaLock) -> None:
@@ -44,14 +45,14 @@ class TableFiles:
         self._table = table
         self._lock = lock
 
-    def pause(self) -> None:
-        """Forbid merging, and wait for merges in progress.
+    def pause_merging(self) -> None:
+        """Forbid merging the table's files, and wait for merges in progress.
 
         Raises:
             StoreUnavailable: Files are still being merged after 30 s; merging is allowed again.
         """
         options = self._options()
-        with self.told():
+        with self.paused_told():
             self._alter({**options, _ENABLED: "false"})
             busy = self._await_quiet()
             if busy:
@@ -62,23 +63,27 @@ class TableFiles:
                 "could miss rows; ask for it again when that has ended (nodetool compactionstats)"
             )
 
-    def resume(self) -> None:
-        """Allow merging again if a client has paused it to make an index."""
+    def resume_merging(self) -> None:
+        """Allow merging again if a client has paused it; first wait until all builds have begun.
+
+        Raises:
+            StoreUnavailable: A build has not begun after 30 s; merging stays paused.
+        """
         options = self._options()
         if options.pop(_ENABLED, "true") != "true":
             self.await_builds(self.indexes(), BUILD_SEC)
             self._alter(options)
 
     @contextmanager
-    def told(self) -> Iterator[None]:
+    def paused_told(self) -> Iterator[None]:
         """Run a block; if it fails, log that merging stays paused."""
         try:
             yield
         except BaseException:
-            self.tell()
+            self.tell_paused()
             raise
 
-    def tell(self) -> None:
+    def tell_paused(self) -> None:
         """Log that merging stays paused, and how to resume it."""
         _log.warning(
             "the files of table %s are not merged until createIndex or removeIndex is called for "
@@ -128,8 +133,8 @@ class TableFiles:
         rows = self._cassandra.system_schema("indexes", "index_name", self._keyspace, self._table)
         return {name for (name,) in rows if name.startswith(self._table + SHADOW)}
 
-    def drop(self, index: str) -> None:
-        """Drop an index."""
+    def drop_index(self, index: str) -> None:
+        """Drop an index of the table by its name. If its build still waits, it runs without it."""
         self._lock.change(
             f"DROP INDEX IF EXISTS {qualified(self._keyspace, index)}",
             what=f"dropping an index of table {self._table}",
