@@ -141,15 +141,15 @@ def test_when_messages_were_sent_comes_back(call, rosCas, tmp_path):
         assert read_content(mcap).digest != read_content(bag).digest
     (run,) = rosCas.runs()
     sent = SendTimeStore(rosCas.catalog.keyspace.side_tables)
-    kept = sent.get(run.writer, "", 1)
+    kept = sent.read_stripe(run.writer, "", 1)
     kept.delays[3] += 1
     kept.sequences[5] += 1
-    sent.put(run.writer, "", 1, kept)
+    sent.write_stripe(run.writer, "", 1, kept)
     status, text, _ = call("verify", path)
     assert (status, "publish_time or sequence of 2 messages" in text) == (1, True)
     assert call("import", path, "-q")[0] == call("verify", path)[0] == 0
     assert call("delete", "--run", run.name, "--yes", "-q")[0] == 0
-    assert sent.get(run.writer, "", 1) is None
+    assert sent.read_stripe(run.writer, "", 1) is None
 
 
 @pytest.mark.parametrize("kind", ["folder", "db3", "mcap"])

@@ -28,14 +28,14 @@ def store_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) 
     The caller has read all chunks before, so ``has_publish_times`` is valid.
     """
     for stripe, sent in _stripes(reader):
-        SendTimeStore(side_tables).put(run.writer, run.node, stripe, sent)
+        SendTimeStore(side_tables).write_stripe(run.writer, run.node, stripe, sent)
 
 
 def count_other_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) -> int:
     """Return the number of messages whose stored publish time or sequence differs from the file."""
     table, count = SendTimeStore(side_tables), 0
     for stripe, sent in _stripes(reader):
-        stored = table.get(run.writer, run.node, stripe) or _nothing()
+        stored = table.read_stripe(run.writer, run.node, stripe) or _nothing()
         equal = (stored.delays == sent.delays) & (stored.sequences == sent.sequences)
         count += int((~equal).sum())
     return count
@@ -50,8 +50,8 @@ class PublishTimeFinder:
 
     def __init__(self, side_tables: SideTables, enabled: bool) -> None:
         table = SendTimeStore(side_tables)
-        self._any = enabled and table.any()
-        self._get = lru_cache(maxsize=_STRIPES_HELD)(table.get)
+        self._any = enabled and table.has_table()
+        self._get = lru_cache(maxsize=_STRIPES_HELD)(table.read_stripe)
 
     def of(self, row: StoredRow | FleetRow, t_ns: int) -> tuple[int, int]:
         """Return publish_time minus log_time of a message, ns, and its sequence number.

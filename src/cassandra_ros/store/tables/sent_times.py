@@ -38,12 +38,22 @@ class SendTimeStore:
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
-    def any(self) -> bool:
+    def has_table(self) -> bool:
         """Return whether the keyspace has the table of send times."""
         return self._tables.has(_TABLE)
 
-    def put(self, writer: int, node: str, stripe: int, times: SendTimes) -> None:
-        """Write the values of an import's messages from number ``stripe * STRIPE`` on."""
+    def write_stripe(self, writer: int, node: str, stripe: int, times: SendTimes) -> None:
+        """Store the values of one stripe of an import; they replace those that are stored of it.
+
+        The table of send times is made if the keyspace has none yet.
+
+        Args:
+            writer: Writer id of the import's run.
+            node: Robot under whose name the messages were imported.
+            stripe: Number of the stripe. The first message is at position ``stripe * STRIPE`` of
+                the file.
+            times: Values of STRIPE messages; 0 where a message has none, or the file ends.
+        """
         self._tables.make(_TABLE)
         # Differences with like bytes side by side: consecutive numbers compress to nothing.
         columns = np.array([times.delays, np.diff(times.sequences, prepend=0)], _NUMBER)
@@ -51,8 +61,8 @@ class SendTimeStore:
         row = {"writer": writer, "node": node, "stripe": stripe, "sent": zstandard.compress(raw)}
         self._tables.insert(_TABLE, row, "storing when messages were sent")
 
-    def get(self, writer: int, node: str, stripe: int) -> SendTimes | None:
-        """Return the send times and sequence numbers of a stripe; None if none are stored.
+    def read_stripe(self, writer: int, node: str, stripe: int) -> SendTimes | None:
+        """Return the values of a stripe, as in ``write_stripe``; None if none are stored.
 
         Raises:
             CorruptMessage: The stored bytes are damaged.
