@@ -410,7 +410,7 @@ class NameResolver:
     def _output(self, term: Term, array: bool | None = False) -> ResultColumn | None:
         """Return the column of one term; None if the table lacks it."""
         if isinstance(term, (Literal, Call)):
-            calc = self._compute(term)
+            calc = self._compile(term)
             return (
                 None if calc is None else ResultColumn(term.text, -1, calc.kind, compute=calc.get)
             )
@@ -424,21 +424,33 @@ class NameResolver:
             return ResultColumn(term.text, RUN_PLACE, "string")
         return ResultColumn(term.text, KEY_PLACE, "string" if self._named else "time")
 
-    def _compute(self, term: Term) -> Computed | None:
-        """Compile a term; None if the table lacks it."""
-        calc = None
+    def _compile(self, term: Term) -> Computed | None:
+        """Make the function that computes a term from a row's values; None if there is none.
+
+        There is none if the table lacks a field of the term, or its type does not fit. The reason,
+        or that the term's parts are right, goes to the findings: a statement is refused only if a
+        part of it is right in no table.
+        """
         try:
-            calc = compile_term(term, self._find)
+            computed = compile_term(term, self._find)
         except StatementError as exc:
             self._findings.wrong.setdefault(exc.position, exc)
-        if calc is not None:
-            self._findings.fine.update(inner.position for inner in inside(term))
-        elif isinstance(term, Call):
-            # The valid parts of a term are no errors if another definition lacks them.
+            computed = None
+        if computed is not None:
+            self._findings.fine.update(part.position for part in inside(term))
+        else:
+            self._note_valid_parts(term)
+        return computed
+
+    def _note_valid_parts(self, term: Term) -> None:
+        """Note which calls among the arguments of a term are right, though the term is not.
+
+        If another definition lacks them, that is no error then.
+        """
+        if isinstance(term, Call):
             for argument in term.arguments:
                 if isinstance(argument, Call):
-                    self._compute(argument)
-        return calc
+                    self._compile(argument)
 
     def _find(self, operand: Operand, array: bool | None) -> OperandPlace | None:
         if array is None and isinstance(operand, FieldPath):
@@ -495,10 +507,10 @@ class NameResolver:
         """Return the functions of a comparison's terms, except of an array; None: missing."""
         if isinstance(leaf, Quantified):
             return self._tests(leaf)
-        first = self._compute(leaf.operand)
+        first = self._compile(leaf.operand)
         if not isinstance(leaf, Relate):
             return [None if first is None else first.get]
-        other = self._compute(leaf.other)
+        other = self._compile(leaf.other)
         if first is None or other is None:
             self._hint_at_quotes(leaf, first)
             return [None, None]
@@ -514,7 +526,7 @@ class NameResolver:
         self, leaf: Quantified, array: ResultColumn | None, sign: str, term: Term
     ) -> Get | None:
         # The term is resolved even if the array is missing: naming its fields may unnest arrays.
-        calc = None if isinstance(term, Literal) else self._compute(term)
+        calc = None if isinstance(term, Literal) else self._compile(term)
         if array is None:
             return None
         if isinstance(term, Literal):
