@@ -15,7 +15,7 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.connection import cassandra as connection
 from cassandra_ros.store.connection.driver_errors import is_passing, translate
-from cassandra_ros.store.connection.requests import answered
+from cassandra_ros.store.connection.requests import await_answer
 
 SEC = 10**9
 
@@ -62,9 +62,9 @@ def test_what_was_begun_gives_all_pages_and_each_in_time(cassandra, monkeypatch)
 
     def counted(future, outage):
         waited.append(future)
-        return answered(future, outage)
+        return await_answer(future, outage)
 
-    monkeypatch.setattr(connection, "answered", counted)
+    monkeypatch.setattr(connection, "await_answer", counted)
     cql, what = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = ?", "tables"
     with Cassandra(cassandra.host, cassandra.port) as store:
         store._session.default_fetch_size = 3

@@ -66,7 +66,7 @@ from cassandra_ros.store.connection.requests import (
     REQUEST_TIMEOUT_SEC,
     RETRY_SEC,
     Seconds,
-    answered,
+    await_answer,
     retried,
     sent_ahead,
 )
@@ -396,10 +396,10 @@ class Cassandra:
 
     def _all_rows(self, future: ResponseFuture) -> list[CqlRow]:
         """Wait for all pages of an answer and return their rows."""
-        rows: list[CqlRow] = list(answered(future, self.outage).current_rows)
+        rows: list[CqlRow] = list(await_answer(future, self.outage).current_rows)
         while future.has_more_pages:
             future.start_fetching_next_page()
-            rows += answered(future, self.outage).current_rows
+            rows += await_answer(future, self.outage).current_rows
         return rows
 
     def system_schema(self, of: str, names: str, keyspace: str, table: str = "") -> list[CqlRow]:
@@ -590,7 +590,7 @@ class Cassandra:
         return raw_session.execute_async(statement, timeout=self._request_sec)
 
     def ask_raw(self, statement: Statement) -> ResponseFuture:
-        """Send a statement like send_raw, without a timer; the caller waits with ``answered``."""
+        """Send a statement like send_raw, without a timer; ``await_answer`` waits for it."""
         self.require_open()
         return self._links.current.raw_session.execute_async(statement, timeout=None)
 

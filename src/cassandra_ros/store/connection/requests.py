@@ -147,13 +147,19 @@ def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
     yield from queue
 
 
-def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
-    """Wait for the answer of a request that was sent without a timer, REQUEST_TIMEOUT_SEC at most.
+def await_answer(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
+    """Wait for the answer of a request that was sent without a timer, and return it.
 
-    With the driver's own time limit each request would wake the driver's thread for a timer.
+    The wait ends after REQUEST_TIMEOUT_SEC, or the outage's ``limit_sec`` if that is less, or when
+    the waits of the program have to end. Then the request is ended as by the driver's timer. With
+    that timer each request would wake the driver's thread. Nothing is retried or noted here.
 
     Args:
-        outage: Tells when the waits of the program have to end.
+        outage: Tells how long a read may wait, and when the waits of the program have to end.
+
+    Raises:
+        OperationTimedOut: No answer came in time.
+        One of DRIVER_ERRORS: The server or the driver reports it.
     """
     limit_sec = REQUEST_TIMEOUT_SEC if outage is None else outage.limit_sec
     ends = time.monotonic() + min(REQUEST_TIMEOUT_SEC, limit_sec)
@@ -223,7 +229,7 @@ class PagedRead:
         if self._failed:
             self._future, self._failed = self._ask(), False
         try:
-            rows: Sequence[RawRow] = answered(self._future, self._outage).current_rows
+            rows: Sequence[RawRow] = await_answer(self._future, self._outage).current_rows
             self.more = self._future.has_more_pages
             return rows
         except DRIVER_ERRORS:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.store.connection.cassandra import AT_ONCE, Cassandra
-from cassandra_ros.store.connection.requests import RawRow, answered, retried, sent_ahead
+from cassandra_ros.store.connection.requests import RawRow, await_answer, retried, sent_ahead
 from cassandra_ros.store.tables.row_table import decode_long
 
 Longs = NDArray[np.int64]
@@ -95,7 +95,7 @@ def _ask_rows(
 
     def run() -> list[RawRow]:
         future = futures.pop() if futures else cassandra.send_raw(bound)
-        return list(answered(future, outage))
+        return list(await_answer(future, outage))
 
     outage = cassandra.outage
     return partial(retried, "reading the directory of buckets", run, outage=outage)

@@ -32,7 +32,7 @@ from cassandra_ros.store.connection.requests import (
     OnPage,
     PagedRead,
     RawRow,
-    answered,
+    await_answer,
     retried,
 )
 
@@ -444,7 +444,7 @@ class RowTable:
 
         def run() -> _T:
             future = (requests.pop() if requests else self.begin(statement)).future
-            return make(answered(future, outage))
+            return make(await_answer(future, outage))
 
         outage = self._cassandra.outage
         return retried(self._doing(what), run, outage=outage)
