@@ -413,7 +413,7 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
     count = 0
     while heap or waiting.left:
         while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
-            stream = waiting.take()
+            stream = waiting.next_rows()
             first = next(stream, None)
             if first is not None:
                 count += 1
@@ -445,7 +445,7 @@ def read_blocks(
     """
     waiting = _BucketQueue(directory, tables, read, _open_blocks)
     while waiting.left:
-        yield from waiting.take()
+        yield from waiting.next_rows()
 
 
 def _order(row: TableRow, sign: int) -> _Order:
@@ -613,15 +613,14 @@ class _BucketQueue(Generic[_T]):
         """Return whether the next bucket may hold rows that come before or at t."""
         return (self.start - t) * sign <= 0
 
-    def take(self) -> Iterator[_T]:
-        """Return the rows of the next bucket; request some of the following buckets."""
-        while self._next is not None and self._asks(self._next):
-            self._ask(self._next)
-            self._next = next(self._pieces, None)
-        if self._unnoted:
-            walks = [(table, walk.met) for table, walk in self._unnoted]
-            _note_first(self._directory, walks, [b for b, _, _ in self._asked], self._read)
-            self._unnoted = []
+    def next_rows(self) -> Iterator[_T]:
+        """Remove the next bucket from the queue, and return the iterator over its rows.
+
+        Before, this bucket and some that follow it are requested, if they are not yet. The caller
+        has checked ``left``; it may read the iterator while it asks for further buckets.
+        """
+        self._request_ahead()
+        self._note_first_buckets()
         piece, rows, filtered = self._asked.popleft()
         self._look()
         self._listed += max(1, piece.listed) if piece.rows else 0
@@ -629,6 +628,19 @@ class _BucketQueue(Generic[_T]):
             self._ahead = min(max(1, 2 * self._ahead), AHEAD) if filtered else 1
             self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
         return rows
+
+    def _request_ahead(self) -> None:
+        """Request buckets, in their order, up to the first that need not be requested yet."""
+        while self._next is not None and self._asks(self._next):
+            self._ask(self._next)
+            self._next = next(self._pieces, None)
+
+    def _note_first_buckets(self) -> None:
+        """Note once, for ``foresee``, in which buckets a read of few rows has begun."""
+        if self._unnoted:
+            walks = [(table, walk.met) for table, walk in self._unnoted]
+            _note_first(self._directory, walks, [b for b, _, _ in self._asked], self._read)
+            self._unnoted = []
 
     def _asks(self, piece: BucketPart) -> bool:
         """Return whether a bucket is requested in addition to those that already are."""
