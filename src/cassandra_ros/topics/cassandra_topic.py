@@ -45,7 +45,7 @@ from cassandra_ros.topics.row_finder import (
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key, StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import count_buckets, count_rows
-from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
+from cassandra_ros.topics.topic_table import TableSet, TopicTable
 
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
@@ -87,7 +87,7 @@ class CassandraTopic:
         self._wish = wish
 
     @property
-    def tables(self) -> WholeTopic:
+    def tables(self) -> TableSet:
         """Tables of the topic, one for each kind and format; empty before the first message."""
         return self._keyspace.tables.of_topic(self.name)
 
@@ -348,7 +348,7 @@ class CassandraTopic:
         """Return the number of messages in the time range of a read, of its nodes and writers."""
         return count_rows(self._keyspace.directory, self._stored_tables(), read)
 
-    def _stored_tables(self) -> WholeTopic:
+    def _stored_tables(self) -> TableSet:
         wish = self._wish
         tables = self.tables or self._keyspace.tables.of_topic(self.name, fresh=True)
         was_seen = (self.name, wish.metadata.format) in self._keyspace.schema.seen

@@ -44,7 +44,7 @@ from cassandra_ros.store.rows.reader import read_blocks, read_rows
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.store.tables.row_table import TableRow
 from cassandra_ros.topics.stored_row import StoredRow, chunks_ahead
-from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
+from cassandra_ros.topics.topic_table import TableSet, TopicTable
 
 
 class RowReader:
@@ -218,8 +218,8 @@ def current(tables: Tables, *, fresh: bool = False) -> Tables:
 
     For a whole topic the result includes tables that were made since.
     """
-    if isinstance(tables, WholeTopic):
-        return tables.now(fresh=fresh)
+    if isinstance(tables, TableSet):
+        return tables.renewed(fresh=fresh)
     present = {}
     for table in tables:
         now = table.heir(fresh) or table

@@ -180,24 +180,35 @@ class TopicTable(RowTable):
         return received if t is None else min(t, MAX_NS)
 
 
-class WholeTopic(List[TopicTable]):
-    """All tables of a topic in one listing: one for each kind and format.
+class TableSet(List[TopicTable]):
+    """The tables of one topic, the oldest first: one for each kind and format.
 
-    A read of such a list, in place of a plain one, includes tables that were made before it began.
+    It is the state of one listing and does not change; ``renewed`` returns the present set. A read
+    renews the set it is given, so it includes tables that were made before it began. A plain list
+    of tables stands for these tables alone.
+
+    Args:
+        tables: The tables.
+        listing: The listing in which they were found.
+        renew: Returns the present set for this one and ``fresh``.
     """
 
     def __init__(
         self,
         tables: Iterable[TopicTable],
         listing: TableListing,
-        renew: Callable[[WholeTopic, bool], WholeTopic],
+        renew: Callable[[TableSet, bool], TableSet],
     ) -> None:
         super().__init__(tables)
         self.listing = listing
         self._renew = renew
 
-    def now(self, *, fresh: bool) -> WholeTopic:
-        """Return the present tables of the topic, with replaced ones exchanged."""
+    def renewed(self, *, fresh: bool) -> TableSet:
+        """Return the present tables of the topic, with replaced ones exchanged.
+
+        Args:
+            fresh: Ask the server; otherwise a listing that this client has may be used.
+        """
         return self._renew(self, fresh)
 
 
@@ -280,26 +291,28 @@ class TopicTables:
                 raise
             return make()
 
-    def of_topic(self, topic: str, *, fresh: bool = False) -> WholeTopic:
+    def of_topic(self, topic: str, *, fresh: bool = False) -> TableSet:
         """Return the tables of a topic, the oldest first: one for each kind and format."""
-        return self._whole(topic, self._schema.listing(fresh=fresh))
+        return self._table_set(topic, self._schema.listing(fresh=fresh))
 
-    def _whole(self, topic: str, listing: TableListing, others: Iterable[str] = ()) -> WholeTopic:
+    def _table_set(self, topic: str, listing: TableListing, others: Iterable[str] = ()) -> TableSet:
         names = dict.fromkeys([*listing.by_topic.get(topic, ()), *others])
         tables = [self.get(name, listing.visible[name]) for name in names]
         # Names of columns depend on the order: a later definition must not change them.
         tables.sort(key=lambda table: (table.metadata.date, table.name))
-        return WholeTopic(tables, listing, partial(self._renew, topic))
+        return TableSet(tables, listing, partial(self._renew, topic))
 
-    def _renew(self, topic: str, was: WholeTopic, fresh: bool) -> WholeTopic:
+    def _renew(self, topic: str, was: TableSet, fresh: bool) -> TableSet:
         # Without tables there is no read whose answer comes after the push of a new table.
         listing = self._schema.listing(fresh=fresh or not was)
         if listing is was.listing:
             return was
         # A topic that was renamed keeps its tables.
         heirs = (listing.heirs.get(table.name, table.name) for table in was)
-        whole = self._whole(topic, listing, [name for name in heirs if name in listing.visible])
-        return whole or was
+        present = self._table_set(
+            topic, listing, [name for name in heirs if name in listing.visible]
+        )
+        return present or was
 
 
 def definition_in(metadata: TopicMetadata) -> Definition | None:
