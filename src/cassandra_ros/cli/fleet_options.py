@@ -97,7 +97,7 @@ def open_fleet(options: argparse.Namespace) -> Fleet:
     return fleet
 
 
-def refuse(options: argparse.Namespace, names: Mapping[str, object]) -> None:
+def refuse_single_store_options(options: argparse.Namespace, names: Mapping[str, object]) -> None:
     """End the program if options are given that ask one store only.
 
     Args:

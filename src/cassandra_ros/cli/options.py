@@ -484,8 +484,8 @@ def read_pairs(
     try:
         return check_pairs(option, pairs, remedy)
     except InvalidOption as exc:
-        refuse: Callable[[str], NoReturn] = options.parser.error
-        refuse(str(exc))
+        end_program: Callable[[str], NoReturn] = options.parser.error
+        end_program(str(exc))
 
 
 def same_named(kind: type[Any], options: argparse.Namespace) -> dict[str, Any]:

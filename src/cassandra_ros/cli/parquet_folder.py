@@ -35,7 +35,9 @@ def compare_folder(options: argparse.Namespace, folder: str) -> int:
 def _handle(options: argparse.Namespace, folder: str, compares: bool) -> int:
     from cassandra_ros.client.sql.lake import Lake
 
-    options.parser.refuse(options, _REFUSED, "--parquet takes whole topics: it goes without {}")
+    options.parser.refuse_options(
+        options, _REFUSED, "--parquet takes whole topics: it goes without {}"
+    )
     quiet = options.quiet or options.json
 
     def progress(path: str, count: int) -> None:

@@ -176,7 +176,7 @@ class Parser(argparse.ArgumentParser):
             hint = f"; what begins with - and is no option goes after --, as in: -- {word}"
         self.error(f"unrecognized arguments: {word}{hint}")
 
-    def refuse(self, options: argparse.Namespace, dests: Sequence[str], text: str) -> None:
+    def refuse_options(self, options: argparse.Namespace, dests: Sequence[str], text: str) -> None:
         """End the program if the command line gave one of some options or words.
 
         Args:

@@ -31,7 +31,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
-from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
+from cassandra_ros.cli.fleet_options import (
+    add_fleet_options,
+    open_fleet,
+    refuse_single_store_options,
+    tell_missing,
+)
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
@@ -230,7 +235,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _open_stores(options: argparse.Namespace) -> RosCassandra | Fleet:
     """Connect to the store, or to several stores, and warn if there is nothing to show."""
     if options.stores:
-        refuse(options, {"--allow-writes": options.allow_writes})
+        refuse_single_store_options(options, {"--allow-writes": options.allow_writes})
         fleet = open_fleet(options)
         tell_missing(fleet.topics().missing, PROGRAM)
         return fleet

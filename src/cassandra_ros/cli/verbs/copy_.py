@@ -153,7 +153,7 @@ def _tell_status(options: argparse.Namespace) -> int:
     """Print a table by target and topic of what is copied."""
     from cassandra_ros.stores.copying.copy_status import copy_status
 
-    options.parser.refuse(options, _HOW, "{} says how to copy, and --status copies nothing")
+    options.parser.refuse_options(options, _HOW, "{} says how to copy, and --status copies nothing")
     with open_store(options) as ros_cas:
         statuses = copy_status(ros_cas.catalog, stored_topics(ros_cas.catalog, options))
     if options.json:

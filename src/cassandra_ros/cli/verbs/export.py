@@ -30,7 +30,12 @@ import os
 import time
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
+from cassandra_ros.cli.fleet_options import (
+    add_fleet_options,
+    open_fleet,
+    refuse_single_store_options,
+    tell_missing,
+)
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_message_options,
@@ -139,7 +144,9 @@ def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
 
     if options.latched:
         values = {"--start": options.start, "--event": options.event}
-        refuse(options, {f"{name} without --no-latched": value for name, value in values.items()})
+        refuse_single_store_options(
+            options, {f"{name} without --no-latched": value for name, value in values.items()}
+        )
     where, (start, end), event = read_where(options), read_times(options), read_event(options)
     with open_fleet(options) as fleet, MessageBar(f"exporting {path}") as bar:
         present = fleet.topics()

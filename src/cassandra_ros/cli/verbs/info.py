@@ -170,7 +170,7 @@ def run(options: argparse.Namespace) -> int:
 def _tell_keyspaces(options: argparse.Namespace) -> int:
     """Print a line for each keyspace with topics; that of --keyspace may be missing."""
     refused = ("topics", "node_id", "run", "key", "stores")
-    options.parser.refuse(options, refused, "--all lists keyspaces: it goes without {}")
+    options.parser.refuse_options(options, refused, "--all lists keyspaces: it goes without {}")
     with open_store(options, make=True) as ros_cas:
         keyspaces = ros_cas.getKeyspaces()
     if options.json:

@@ -29,7 +29,12 @@ import argparse
 import os
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
+from cassandra_ros.cli.fleet_options import (
+    add_fleet_options,
+    open_fleet,
+    refuse_single_store_options,
+    tell_missing,
+)
 from cassandra_ros.cli.json_answer import print_json
 from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
 from cassandra_ros.errors import InvalidExpression, InvalidOption
@@ -161,7 +166,7 @@ def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> i
     from cassandra_ros.query.arrays.array_types import ArrayType
 
     given = {"--explain": options.explain, "--allow-writes": options.allow_writes}
-    refuse(options, {**given, "--output parquet": options.output == "parquet"})
+    refuse_single_store_options(options, {**given, "--output parquet": options.output == "parquet"})
     selection = {"nodeID": options.node_id, "run": options.run, "limit": options.limit}
     with open_fleet(options) as fleet:
         result = fleet.iterCQL(options.statement, params, **selection)
