@@ -98,7 +98,7 @@ def test_only_what_came_is_stored_or_lost(kind):
     never_came = kind in (LossKind.NOT_READ, LossKind.UNHEARD)
     (report,) = counts.reports({"/a": 1})
     assert report.waiting == (4 if never_came else 2)
-    counts.settle({"/a": 1}, 10 * SEC)
+    counts.count_rest_as_lost({"/a": 1}, 10 * SEC)
     (report,) = counts.reports({"/a": 1})
     wanted = Counter({kind: 2})
     wanted[LossKind.AT_END] += 4 if never_came else 2

@@ -383,7 +383,8 @@ def test_what_comes_into_the_old_table_after_all_is_taken_along(rosCas, connect,
 def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, connect, monkeypatch):
     """The other client writes during the pause after the switch, at the latest before the drop."""
     fill(rosCas, "ros", 20)
-    topic, settle, drop = rosCas.getTopic("/t"), convert.Conversion._settle, replacement.drop
+    topic, drop = rosCas.getTopic("/t"), replacement.drop
+    await_clients = convert.Conversion._await_clients
     written_into = []
     with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
         handle = writer.connect(next(topic.rows()).connection)
@@ -397,15 +398,15 @@ def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, conne
                 writer.write(handle, T0 + 5, 1, serialize(joint_state(99)))
                 writer.flush()
 
-        def write_then_settle(conversion):
+        def write_then_wait(conversion):
             write_once()
-            settle(conversion)
+            await_clients(conversion)
 
         def write_then_drop(*arguments):
             write_once()
             drop(*arguments)
 
-        monkeypatch.setattr(convert.Conversion, "_settle", write_then_settle)
+        monkeypatch.setattr(convert.Conversion, "_await_clients", write_then_wait)
         monkeypatch.setattr(replacement, "drop", write_then_drop)
         rosCas.convertTopic("/t", "json")
     tables = [table.name for table in topic.tables]

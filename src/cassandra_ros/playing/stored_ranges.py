@@ -8,7 +8,7 @@ from typing import NamedTuple, Sequence
 
 from cassandra_ros.keys import split_seq
 from cassandra_ros.read import EVERYBODY, Nodes, Read, Whose
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.directory import BucketRow
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_totals import buckets_of
@@ -66,8 +66,8 @@ def _first_filled(
     keyspace: Keyspace, table: TopicTable, rows: Sequence[BucketRow]
 ) -> BucketRow | None:
     """Return the first bucket that is not empty; count its rows and those of the ones before."""
-    settled = (settle(keyspace.directory, table, [row])[0] for row in rows)
-    return next((row for row in settled if row.rows), None)
+    recounted = (recount_open_buckets(keyspace.directory, table, [row])[0] for row in rows)
+    return next((row for row in recounted if row.rows), None)
 
 
 def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[StoredRange]:

@@ -129,7 +129,9 @@ class _OpenSegment(NamedTuple):
 
 
 class Backlog:
-    """The waiting messages of one run. ``take`` and ``settle`` are called by one thread.
+    """The waiting messages of one run.
+
+    ``take`` and ``delete_stored_files`` are called by one thread.
 
     Args:
         buffer: Messages in memory.
@@ -286,7 +288,7 @@ class Backlog:
             self._messages -= messages
             self._nbytes = max(self._nbytes - nbytes, 0)
 
-    def settle(self, flush: Callable[[], None]) -> None:
+    def delete_stored_files(self, flush: Callable[[], None]) -> None:
         """Delete the files whose messages were all taken, after they are stored.
 
         Args:
@@ -308,7 +310,7 @@ class Backlog:
     def _delete(self, segment: _SegmentFile) -> None:
         self._own_bytes -= segment.nbytes
         if self._folder is not None:
-            self._folder.settle(segment.path, segment.run_totals)
+            self._folder.delete_file(segment.path, segment.run_totals)
 
     @property
     def ended(self) -> bool:

@@ -556,7 +556,7 @@ class Recording:
             if self._backlog.leaving:
                 return True
             if not self._waiting:
-                self._backlog.settle(self._flush)
+                self._backlog.delete_stored_files(self._flush)
         ending = self._queue.ended
         for source in self._waiting:
             if not source.submitted and (ending or source.is_ripe()):
@@ -744,7 +744,7 @@ class Recording:
             if self._left:
                 self._finish_spool()
                 return self.reports()
-            self._settle()
+            self._end_counts()
             self._save()
             self._places.close()
         lost = {report.topic: report.lost for report in self.reports() if report.lost}
@@ -779,7 +779,7 @@ class Recording:
             self._counts.keep({report.topic: report.waiting for report in reports})
         except (OSError, CassandraRosError) as exc:
             _log.error("the end of run %s cannot be written to the spool: %s", self.name, exc)
-            self._settle()
+            self._end_counts()
         self._closed.set()
 
     def waiting(self) -> tuple[int, int]:
@@ -813,14 +813,15 @@ class Recording:
             self._leave()
             if self._closed.wait(WORD_SEC):
                 return self.reports()
-        self._settle()
+        self._end_counts()
         # The losses are stored if the store answers in time; the process may end before.
         self._thread_of(self._save, "recorder-losses").join(LAST_WORD_SEC)
         return self.reports()
 
-    def _settle(self) -> None:
+    def _end_counts(self) -> None:
+        """End the recording: messages that still wait are lost, and the counts are final."""
         self._ended.set()
-        self._counts.settle(self._stored_counts(), self._latest or time.time_ns())
+        self._counts.count_rest_as_lost(self._stored_counts(), self._latest or time.time_ns())
 
     def reports(self) -> list[TopicReport]:
         """Return the report of each topic so far."""

@@ -189,7 +189,7 @@ class Drain:
                 if stays or (self._done.stays and path == files[-1]):
                     self._keep_staying(path)
                 elif path != files[-1]:
-                    self._left.folder.settle(path, self._account.totals())
+                    self._left.folder.delete_file(path, self._account.totals())
             if not self._done.stays:
                 for missing_part in self._account.finish():
                     self._note(missing_part)

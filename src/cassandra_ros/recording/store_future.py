@@ -26,17 +26,17 @@ def store_future(store: Store) -> Future[Catalog]:
     return done
 
 
-def then(first: Future[_T], take: Callable[[_T], _U]) -> Future[_U]:
-    """Return a future of what ``take`` returns for the result of ``first``, or of its error."""
+def then(first: Future[_T], work: Callable[[_T], _U]) -> Future[_U]:
+    """Return a future of what ``work`` returns for the result of ``first``, or of its error."""
     following: Future[_U] = Future()
 
-    def settle(done: Future[_T]) -> None:
+    def finish(done: Future[_T]) -> None:
         try:
-            following.set_result(take(done.result()))
+            following.set_result(work(done.result()))
         except Exception as exc:  # noqa: BLE001 - raised where the result is used
             following.set_exception(exc)
 
-    first.add_done_callback(settle)
+    first.add_done_callback(finish)
     return following
 
 

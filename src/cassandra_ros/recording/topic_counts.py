@@ -284,8 +284,13 @@ class Counts:
             for topic, count in spooled.items():
                 self._topics[topic].spooled = max(count, 0)
 
-    def settle(self, stored: Mapping[str, int], t: int) -> None:
-        """Count as lost the messages that are neither stored nor lost: no request is pending."""
+    def count_rest_as_lost(self, stored: Mapping[str, int], t: int) -> None:
+        """Count as lost the messages that still wait; call it once no request is pending.
+
+        Args:
+            stored: Number of messages by topic that the store acknowledged.
+            t: Time of the losses, ns.
+        """
         for report in self.reports(stored):
             if report.waiting > 0:
                 self.lost(report.topic, report.waiting, LossKind.AT_END, t)

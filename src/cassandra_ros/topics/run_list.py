@@ -13,7 +13,7 @@ from typing import Sequence
 from cassandra_ros.keys import writer_of
 from cassandra_ros.read import Whose
 from cassandra_ros.store.rows.fetch import list_names
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.directory import STALE_SEC, Directory
 from cassandra_ros.store.tables.registry import Run, SignOfLife
 from cassandra_ros.topics.keyspace import Keyspace
@@ -79,7 +79,7 @@ def _count_stored(
                     run_counts.stored[topic] += 1
             continue
         rows = buckets_of(directory, table, whose)
-        for row in settle(directory, table, rows):
+        for row in recount_open_buckets(directory, table, rows):
             run_counts = counts.setdefault(row.writer, _StoredCounts())
             run_counts.stored[topic] += row.rows
             run_counts.age_sec = min(run_counts.age_sec, row.age_sec)

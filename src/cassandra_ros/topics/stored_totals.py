@@ -13,7 +13,7 @@ from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
 from cassandra_ros.read import ALWAYS, EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.store.rows.fetch import list_names
-from cassandra_ros.store.rows.row_counts import count_part, settle
+from cassandra_ros.store.rows.row_counts import count_part, recount_open_buckets
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.row_reader import followed
@@ -101,7 +101,7 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
     for row in rows:
         if not first <= row.bucket <= last:
             edges.setdefault((row.node, row.bucket), []).append(row)
-    count += sum(row.rows for row in settle(directory, table, inner))
+    count += sum(row.rows for row in recount_open_buckets(directory, table, inner))
     return count + sum(_count_edge(table, group, read) for group in edges.values())
 
 
@@ -169,7 +169,7 @@ def _describe_all(
             rows = _names_as_buckets(table, whose)
         else:
             ends = table.bucket_of(time_range.low), table.bucket_of(time_range.high)
-            rows = settle(directory, table, buckets_of(directory, table, whose, ends))
+            rows = recount_open_buckets(directory, table, buckets_of(directory, table, whose, ends))
         groups: dict[str, list[BucketRow]] = {}
         for row in rows:
             groups.setdefault(row.node, []).append(row)

@@ -33,7 +33,7 @@ from cassandra_ros.query.plan.pushdown import unwatched
 from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.units import unit_of_field
 from cassandra_ros.read import EVERYBODY, TimeRange
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.directory import STALE_SEC
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
@@ -195,7 +195,7 @@ class Lake:
             # What a killed recorder or a deletion has left open is counted, or it would be written
             # each time. With a TTL messages go one by one, and the lake keeps them.
             counts_hold = not table.metadata.ttl
-            for row in settle(directory, table, rows) if counts_hold else rows:
+            for row in recount_open_buckets(directory, table, rows) if counts_hold else rows:
                 finished = row.closed or (counts_hold and row.age_sec > STALE_SEC)
                 if finished and not row.rows:
                     continue

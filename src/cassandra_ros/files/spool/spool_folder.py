@@ -70,8 +70,8 @@ class RunFolder:
         """Return the path of the file with a number."""
         return self.path / f"{number:06d}{_SUFFIX}"
 
-    def settle(self, path: Path, totals: Totals) -> None:
-        """Delete a file: each of its messages is stored, or told as lost.
+    def delete_file(self, path: Path, totals: Totals) -> None:
+        """Delete a file of which each message is stored, or told as lost, and note that it was.
 
         Args:
             totals: The messages of the run up to its end.

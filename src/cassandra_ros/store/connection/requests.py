@@ -325,7 +325,7 @@ class Flight:
             self._launch(request)
         except BaseException as exc:
             # Ctrl-C while waiting, or before the request was handed over.
-            self._settle(request, exc)
+            self._end_request(request, exc)
             raise
 
     @property
@@ -342,7 +342,7 @@ class Flight:
                     return
                 late = list(self._requests) if self._is_over() else []
             for request in late:
-                self._settle(request, StoreUnavailable(_GIVEN_UP))
+                self._end_request(request, StoreUnavailable(_GIVEN_UP))
 
     def _is_over(self) -> bool:
         """Return whether the program has to end and the store does not answer."""
@@ -365,14 +365,14 @@ class Flight:
         self._patience.answered()
         if self._outage is not None:
             self._outage.answered()
-        self._settle(request, None)
+        self._end_request(request, None)
 
     def _fail(self, exc: BaseException, request: _Request) -> None:
         busy, now = is_busy(exc), time.monotonic()
         trying_sec = now - request.begun
         ends = now if self._is_over() else self._patience.ends(request.begun)
         if not (busy or is_passing(exc)) or now >= ends:
-            self._settle(request, exc)
+            self._end_request(request, exc)
             return
         pause = BUSY_PAUSE_SEC
         if not busy:
@@ -385,9 +385,9 @@ class Flight:
         try:
             retry.start()
         except RuntimeError as no_thread:  # the process has its maximum number of threads
-            self._settle(request, no_thread)
+            self._end_request(request, no_thread)
 
-    def _settle(self, request: _Request, exc: BaseException | None) -> None:
+    def _end_request(self, request: _Request, exc: BaseException | None) -> None:
         with self._changed:
             if request.settled:
                 return

@@ -92,10 +92,13 @@ def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
     return by_writer
 
 
-def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list[BucketRow]:
-    """Return the rows of the directory with present counts for buckets that are not closed.
+def recount_open_buckets(
+    directory: Directory, table: RowTable, rows: list[BucketRow]
+) -> list[BucketRow]:
+    """Return the same rows of the directory with present counts where the stored ones may be old.
 
-    A recount is written back if the bucket has no living writer any more.
+    Buckets that are not closed are counted anew by their messages, and in a table with a TTL all
+    buckets are. If a bucket has no living writer any more, its counts are written to the directory.
     """
     # In a table with a TTL rows expire one by one, which the directory does not know.
     final = not table.metadata.ttl

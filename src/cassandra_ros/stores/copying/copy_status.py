@@ -11,7 +11,7 @@ from uuid import UUID
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.read import EVERYTHING
 from cassandra_ros.store.blocks.block_counts import headers
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.rows.verbatim import row_keys
 from cassandra_ros.store.tables.copy_books import CopiedBucket, CopiedTable, CopyBooks
 from cassandra_ros.store.tables.directory import BucketRow, slot_of
@@ -79,7 +79,7 @@ def _add(
         _add_named(books, target, table, status)
         return
     directory = catalog.keyspace.directory
-    rows = settle(directory, table, buckets_of(directory, table))
+    rows = recount_open_buckets(directory, table, buckets_of(directory, table))
     slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
     books_of = {(b.node, b.bucket, b.writer): b for b in books.buckets(target, table.name, slots)}
     for row in rows:

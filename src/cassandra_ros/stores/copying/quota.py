@@ -14,7 +14,7 @@ from typing import NamedTuple
 from uuid import UUID
 
 from cassandra_ros.read import Read, TimeRange, Whose
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.copy_books import CopiedBucket, CopyBooks
 from cassandra_ros.store.tables.directory import BucketRow, slot_of
 from cassandra_ros.store.tables.registry import Loss, LossKind
@@ -128,7 +128,7 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
         # By robot: the books have the heartbeats of cr_bucket.
         listed = directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
         there = [row for row in listed if not row.expired(table.metadata.ttl)]
-        rows = [row for row in settle(directory, table, there) if row.rows]
+        rows = [row for row in recount_open_buckets(directory, table, there) if row.rows]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
         books_of: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
         for target in targets.get(table.name, ()):

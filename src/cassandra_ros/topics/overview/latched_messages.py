@@ -21,7 +21,7 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.directory import STALE_SEC, BucketRow
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.keyspace import Keyspace
@@ -217,7 +217,7 @@ class LatchedFinder:
         if not stale_rows:
             return list(rows)
         table = self._keyspace.tables.get(name, metadata)
-        recounts = settle(self._keyspace.directory, table, stale_rows)
+        recounts = recount_open_buckets(self._keyspace.directory, table, stale_rows)
         others = [row for row in rows if row.closed or row.age_sec <= STALE_SEC]
         return [*others, *(row._replace(closed=True) for row in recounts)]
 

@@ -277,7 +277,7 @@ class Conversion:
     def _once(self) -> int:
         new = self._begin()
         try:
-            self._settle()
+            self._await_clients()
             _await_writers(self._space, self._topic, self._olds)
             before = _state(self._space, self._olds)
             copy = TableCopy(self._space, self._olds, new, self._progress)
@@ -291,7 +291,7 @@ class Conversion:
         except BaseException:
             self._give_up(new)
             raise
-        self._settle()
+        self._await_clients()
         if _state(self._space, self._olds) != before:
             copy.add_late()
         else:
@@ -321,7 +321,7 @@ class Conversion:
                     whose = Whose((row.node,), frozenset([row.writer]))
                     yield Read(TimeRange(low, low + length - 1), whose)
 
-    def _settle(self) -> None:
+    def _await_clients(self) -> None:
         """Wait until every client has read the changed comments.
 
         Before the copy: afterwards no client writes into the old tables. After the switch: clients

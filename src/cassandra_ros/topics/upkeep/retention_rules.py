@@ -19,7 +19,7 @@ from typing import Dict, Iterable, Iterator, Sequence, Tuple
 from cassandra_ros.errors import EventNotFound, InvalidOption
 from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import EventChoice, merge_windows
 from cassandra_ros.topics.overview.latched_messages import LatchedFinder
@@ -179,7 +179,7 @@ class _Retention:
         rows_of_tables = [
             (table, row)
             for table in tables
-            for row in settle(directory, table, buckets_of(directory, table))
+            for row in recount_open_buckets(directory, table, buckets_of(directory, table))
             if row.rows
         ]
         rows_of_tables.sort(key=lambda pair: -pair[1].t_max)

@@ -304,7 +304,7 @@ class _Check:
             if row is None:
                 self._list(table, (table.name, node, bucket, writer), totals)
             elif not row.closed:
-                self._settle(table, row, totals)
+                self._count_open_bucket(table, row, totals)
             elif not table.metadata.ttl and not _agrees(row, totals):
                 self._recount(table, row, totals)
 
@@ -381,7 +381,7 @@ class _Check:
         self._space.directory.list_by_time(table.name, rows, table.metadata.ttl, since_us)
         self._space.schema.raise_version(table.name)
 
-    def _settle(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
+    def _count_open_bucket(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
         """Count a bucket that is not closed; that its counts are estimates is no damage."""
         if row.age_sec <= STALE_SEC:
             self.report.count_writing()

@@ -18,7 +18,7 @@ import numpy as np
 from cassandra_ros.read import LAST_NS, Whose
 from cassandra_ros.store.connection.cassandra import AT_ONCE
 from cassandra_ros.store.connection.requests import sent_ahead
-from cassandra_ros.store.rows.row_counts import settle
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.bucket_columns import BucketColumns, SlotKey, SlotRange
 from cassandra_ros.store.tables.directory import ALL_ROWS, SLOT_BUCKETS, Directory, slot_of
 from cassandra_ros.topics.overview.timeline.range_counts import (
@@ -227,7 +227,9 @@ class DirectoryReader:
             return columns, 0
         params = ((table.name, node, slot_of(bucket), bucket, bucket) for bucket in buckets)
         answers = sent_ahead(self._directory.begin_buckets(params), AT_ONCE)
-        rows = settle(self._directory, table, [row for answer in answers for row in answer()])
+        rows = recount_open_buckets(
+            self._directory, table, [row for answer in answers for row in answer()]
+        )
         counts = {(row.bucket, row.writer): row for row in rows}
         columns = BucketColumns._make(column.copy() for column in columns)
         for n in np.flatnonzero(np.isin(columns.bucket, buckets)).tolist():
