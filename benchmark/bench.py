@@ -82,7 +82,7 @@ def main() -> int:
     path = args.results / f"{name}.json"
     if args.into is not None:
         path, later, results = args.into, results, Results.load(args.into)
-        results.take(later)
+        results.replace_experiments(later)
         name = path.stem
     results.save(path)
     print(text_table(rows(results)))

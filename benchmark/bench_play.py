@@ -48,14 +48,14 @@ def listen() -> None:
     found: list[tuple[int, int]] = []
     ended = threading.Event()
 
-    def take(topic: str, header: Mapping[str, str], wire: bytes) -> None:
+    def count(topic: str, header: Mapping[str, str], wire: bytes) -> None:
         now = time.monotonic_ns()
         secs, nsecs = struct.unpack_from("<II", wire, 4)
         found.append((secs * 10**9 + nsecs, now))
 
     signal.signal(signal.SIGINT, lambda *args: ended.set())
     rospy.init_node("listener", anonymous=True, disable_signals=True)
-    subscribe(TOPIC, take, tcp_nodelay=True)
+    subscribe(TOPIC, count, tcp_nodelay=True)
     print("ready", flush=True)
     ended.wait()
     seen = -1

@@ -83,7 +83,7 @@ class Results:
         """Return the series of an experiment."""
         return [s for s in self.series if s.experiment == experiment and what in ("", s.what)]
 
-    def take(self, later: Results) -> None:
+    def replace_experiments(self, later: Results) -> None:
         """Put what another run has measured in the place of the same experiments here."""
         names, ran = set(later.seconds), later.machine
         self.series = [s for s in self.series if s.experiment not in names]
@@ -115,7 +115,7 @@ class Results:
         """Read the results of a full run, and beside them those of the viewer, where they are."""
         results, viewer = cls.load(path), path.with_name("viewer.json")
         if viewer.is_file():
-            results.take(cls.load(viewer))
+            results.replace_experiments(cls.load(viewer))
         return results
 
 

@@ -38,7 +38,9 @@ def gathered(definition, names, wires):
         values.add(row, n)
     values.flush()
     kinds = dict(pair for group in values.groups for pair in group)
-    return bool(values._stacked), {name: values.take(name, kind) for name, kind in kinds.items()}
+    return bool(values._stacked), {
+        name: values.pop_column(name, kind) for name, kind in kinds.items()
+    }
 
 
 def same(one, other):

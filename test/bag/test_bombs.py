@@ -320,19 +320,19 @@ def test_a_large_message_is_no_bomb(tmp_path, compression):
 def test_a_plain_chunk_may_be_as_large_as_before(tmp_path):
     """rosbag record --chunksize makes them: the file is as large as its content."""
     most = message_file.Allowance(10**9)
-    most.take("none", 10**9, 10**9, "")
+    most.count_chunk("none", 10**9, 10**9, "")
     with pytest.raises(BagTooLarge, match="chunks of over 268435456 bytes are not read"):
-        most.take("bz2", 2**28 + 1, 100, "")
+        most.count_chunk("bz2", 2**28 + 1, 100, "")
     with pytest.raises(BagTooLarge, match="chunks of over 268435456 bytes are not read"):
-        most.take("lz4", 100, 2**28 + 1, "")  # what is packed takes memory, too
+        most.count_chunk("lz4", 100, 2**28 + 1, "")  # what is packed takes memory, too
 
 
 def test_the_ratio_counts_all_chunks_once(tmp_path, monkeypatch):
     most = message_file.Allowance(400_000)
     for _ in range(4):
-        most.take("bz2", 10**8, 50, "")
+        most.count_chunk("bz2", 10**8, 50, "")
     with pytest.raises(BagTooLarge, match=r"x.bag: chunk 5 makes 400000001 bytes .* 1000 times"):
-        most.take("bz2", 1, 50, "x.bag: chunk 5")
+        most.count_chunk("bz2", 1, 50, "x.bag: chunk 5")
     monkeypatch.setattr(message_file, "MAX_CHUNK_BYTES", 4 * MIB)
     monkeypatch.setattr(message_file, "MAX_RATIO", 1)
     path = make_bag(tmp_path / "a", [("bz2", MIB, packed("bz2", MIB), 1)] * 4)

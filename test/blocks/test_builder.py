@@ -52,10 +52,10 @@ class Cutter:
     def _put(self, builder, block):
         self.blocks.append((builder.conn, block))
 
-    def take(self, messages, conn=1):
+    def add(self, messages, conn=1):
         builder = self.builders.get(Table(), "", conn)
         for t, seq, wire in messages:
-            assert builder.take(t, seq, wire)
+            assert builder.add_message(t, seq, wire)
         return builder
 
 
@@ -85,7 +85,7 @@ def made(steps, first=1000):
 def test_every_message_is_in_one_block_and_the_rules_hold(steps):
     every = made(steps)
     cutter = Cutter()
-    cutter.take(every)
+    cutter.add(every)
     cutter.builders.seal()
     assert not cutter.builders.filling and cutter.builders.nbytes == 0
     found = []
@@ -112,28 +112,28 @@ def test_every_message_is_in_one_block_and_the_rules_hold(steps):
 @given(messages, st.lists(st.integers(1, 60), max_size=60))
 def test_messages_that_are_taken_together_end_in_the_same_blocks(steps, lengths):
     every, one, many = made(steps), Cutter(), Cutter()
-    one.take(every)
+    one.add(every)
     builder = many.builders.get(Table(), "", 1)
     for length in [*lengths, len(every)]:
         run, every = every[:length], every[length:]
         if run:
             times, seqs = (np.array(column, np.int64) for column in list(zip(*run))[:2])
-            assert builder.take_run(times, seqs, [wire for _, _, wire in run]) == len(run)
+            assert builder.add_messages(times, seqs, [wire for _, _, wire in run]) == len(run)
     assert rows(many.blocks) == rows(one.blocks) and many.builders.nbytes == one.builders.nbytes
     many.gone.add("t_1")
-    assert builder.take_run(np.array([10**9]), np.array([1 << 32]), [b""]) == 0
+    assert builder.add_messages(np.array([10**9]), np.array([1 << 32]), [b""]) == 0
 
 
 @given(messages, messages, st.data())
 def test_blocks_do_not_depend_on_the_other_connections(one, two, data):
     alone = Cutter()
-    alone.take(made(one), conn=1)
+    alone.add(made(one), conn=1)
     alone.builders.seal()
     together = Cutter()
     parts = {1: iter(made(one)), 2: iter(made(two))}
     left = [1] * len(one) + [2] * len(two)
     for conn in data.draw(st.permutations(left)):
-        together.take([next(parts[conn])], conn)
+        together.add([next(parts[conn])], conn)
     together.builders.seal()
     assert rows(b for b in together.blocks if b[0] == 1) == rows(alone.blocks)
 
@@ -143,8 +143,8 @@ def test_what_a_killed_import_leaves_is_written_over(steps, stop):
     """A block that was stored before it was full has the key of the full one."""
     every = made(steps)
     whole, killed = Cutter(), Cutter()
-    whole.take(every)
-    killed.take(every[:stop])
+    whole.add(every)
+    killed.add(every[:stop])
     for cutter in (whole, killed):
         cutter.builders.seal()
     store = {(b.t, b.seq): b for _, b in itertools.chain(killed.blocks, whole.blocks)}
@@ -157,7 +157,7 @@ def test_messages_of_several_threads_are_all_there(steps, threads):
     cutter = Cutter()
     every = made([(step, 3) for step in steps])
     parts = [every[n::threads] for n in range(threads)]
-    together(*(partial(cutter.take, part) for part in parts))
+    together(*(partial(cutter.add, part) for part in parts))
     cutter.builders.seal()
     found = [seq for _, block in cutter.blocks for seq in block.seqs]
     assert sorted(found) == [seq for _, seq, _ in every]
@@ -166,7 +166,7 @@ def test_messages_of_several_threads_are_all_there(steps, threads):
 def test_a_large_message_is_alone():
     cutter = Cutter(BlockLimits())
     sizes = [10, ALONE_BYTES, ALONE_BYTES + 1, 10, 10, CHUNK_BYTES + 1, 10]
-    cutter.take([(1000 + n, n, bytes(size)) for n, size in enumerate(sizes)])
+    cutter.add([(1000 + n, n, bytes(size)) for n, size in enumerate(sizes)])
     # The large ones do not wait.
     assert [len(block.wires) for _, block in cutter.blocks] == [2, 1, 2, 1]
     cutter.builders.seal()
@@ -177,13 +177,13 @@ def test_a_large_message_is_alone():
 
 def test_a_full_block_does_not_wait():
     cutter = Cutter(BlockLimits())
-    cutter.take([(1000, n, b"x") for n in range(1024)])
+    cutter.add([(1000, n, b"x") for n in range(1024)])
     assert [len(block.wires) for _, block in cutter.blocks] == [1024]
 
 
 def test_a_message_that_would_pass_the_bytes_begins_the_next():
     cutter = Cutter(BlockLimits())
-    cutter.take([(1000, n, bytes(60 * 1024)) for n in range(5)])
+    cutter.add([(1000, n, bytes(60 * 1024)) for n in range(5)])
     assert [len(block.wires) for _, block in cutter.blocks] == [4]
 
 
@@ -195,10 +195,10 @@ def test_a_block_ends_with_its_bucket(together, first):
     times = sorted({first, end - 1, end})
     assert [t // BUCKET for t in times] == [2] * (len(times) - 1) + [3]
     cutter = Cutter()
-    builder = cutter.take([(t, n, b"") for n, t in enumerate(times)] if not together else [])
+    builder = cutter.add([(t, n, b"") for n, t in enumerate(times)] if not together else [])
     if together:
         every = np.array(times, np.int64)
-        assert builder.take_run(every, np.arange(len(times)), [b""] * len(times)) == len(times)
+        assert builder.add_messages(every, np.arange(len(times)), [b""] * len(times)) == len(times)
     cutter.builders.seal()
     assert [list(block.times) for _, block in cutter.blocks] == [times[:-1], [end]]
 
@@ -208,9 +208,9 @@ def test_a_block_is_as_long_as_its_span(together):
     """Both of its ends belong to it, the nanosecond after it does not."""
     times = [2 * BUCKET, 2 * BUCKET + SPAN, 2 * BUCKET + SPAN + 1]
     cutter = Cutter()
-    builder = cutter.take([(t, n, b"") for n, t in enumerate(times)] if not together else [])
+    builder = cutter.add([(t, n, b"") for n, t in enumerate(times)] if not together else [])
     if together:
-        assert builder.take_run(np.array(times, np.int64), np.arange(3), [b""] * 3) == 3
+        assert builder.add_messages(np.array(times, np.int64), np.arange(3), [b""] * 3) == 3
     cutter.builders.seal()
     assert [list(block.times) for _, block in cutter.blocks] == [times[:2], times[2:]]
 
@@ -231,7 +231,7 @@ def test_who_writes_a_message_anew_gets_what_was_taken():
     builder = cutter.builders.get(Table(), "", 1, key_time, again)
     sent = [(1020, 2, b"b"), (1010, 1, b"a"), (1030, 3, b"c")]
     for message in sent:
-        assert builder.take(*message)
+        assert builder.add_message(*message)
     cutter.builders.seal()
     for _, block in cutter.blocks:
         for again in block.rewriters():
@@ -241,10 +241,10 @@ def test_who_writes_a_message_anew_gets_what_was_taken():
 
 def test_nothing_is_taken_for_a_table_that_is_gone():
     cutter = Cutter()
-    builder = cutter.take([(1000, 1, b"a")])
+    builder = cutter.add([(1000, 1, b"a")])
     cutter.gone.add("t_1")
-    assert builder.take(1001, 2, b"b")  # joins what waits, and goes where that goes
-    assert not builder.take(5000, 3, b"c")
+    assert builder.add_message(1001, 2, b"b")  # joins what waits, and goes where that goes
+    assert not builder.add_message(5000, 3, b"c")
     assert [block.seqs for _, block in cutter.blocks] == [[1, 2]]
 
 

@@ -87,7 +87,7 @@ def test_large_messages_count_their_chunks_in_every_format():
         image.data = data
         wire = serialize(image)
         sample = TopicSample("/i", image._type, image._md5sum, definition_of(Image), 10.0, count=1)
-        assert sample.take(T, wire, 5)
+        assert sample.add_message(T, wire, 5)
         for name, size in estimate(sample, 0.5).items():
             assert low < size.disk < high, name
             assert size.plain > len(wire), name
@@ -95,7 +95,7 @@ def test_large_messages_count_their_chunks_in_every_format():
 
 def test_an_unusable_definition_leaves_the_formats_that_need_none():
     sample = TopicSample("/x", "pkg/Unknown", "0" * 32, None, None, count=1)
-    sample.take(T, b"abc", 5)
+    sample.add_message(T, b"abc", 5)
     known = {name for name, size in estimate(sample, 0.5).items() if size is not None}
     assert known == {"binary"}
 

@@ -817,7 +817,7 @@ def test_a_recorder_says_nothing_of_poses_among_which_some_were_lost(rosCas):
         if n == 44:  # it came, and was not stored: from 410 m to 470 m the robot went straight
             lost = serialize(odometry(440.0, y, "map"))
             recording._counts.received("/odom", lost)
-            recording._places.take(source, T0 + n * SEC, lost)
+            recording._places.add_message(source, T0 + n * SEC, lost)
             recording._lose("/odom", LossKind.REFUSED, "by a test", T0 + n * SEC)
             recording.received("/n", NUMBER, serialize(Int32(1)))
         else:

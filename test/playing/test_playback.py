@@ -319,7 +319,7 @@ def taken(reader, changed, look=lambda played: None):
         while True:
             while not reader.await_next(60):
                 pass
-            played = reader.take()
+            played = reader.next_message()
             if played is None:
                 return got
             look(played)
@@ -409,7 +409,7 @@ def test_no_more_is_read_ahead_than_the_budget(store):
     got = 0
     with changed:
         while reader.await_next(180):
-            played = reader.take()
+            played = reader.next_message()
             if played is None:
                 break
             got += 1

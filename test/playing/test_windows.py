@@ -132,7 +132,7 @@ def taken(begin, t):
     reader = ReadAhead(begin, t, 1 << 20, changed, lambda played, exc: None)
     with changed:
         while reader.await_next(180):
-            found.append(reader.take())
+            found.append(reader.next_message())
             if found[-1] is None:
                 return found[:-1]
     raise AssertionError("nothing came")

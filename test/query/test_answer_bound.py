@@ -205,9 +205,9 @@ def test_what_is_counted():
     values = ["é" * 3, b"\0" * 5, [1.5] * 7, [["a"], ["bc"]], None, 2**70]
     assert list(map(least_bytes, values)) == [3, 5, 14, 3, 2, 2]
     bound = AnswerBound("it", "ask for less")
-    bound.take(MAX_ANSWER_BYTES)
+    bound.count_part(MAX_ANSWER_BYTES)
     for size in (1, MAX_ANSWER_BYTES):
         with pytest.raises(AnswerTooLarge, match="it would take more than 64 MiB; ask for less"):
-            bound.take(size)
-    bound.take(0)
+            bound.count_part(size)
+    bound.count_part(0)
     assert bound.bytes == MAX_ANSWER_BYTES

@@ -60,7 +60,7 @@ def test_buffer_drops_the_oldest():
     buffer = Buffer(3 * (ITEM_BYTES + 10))
     assert [buffer.put(item(n, 10)) for n in range(3)] == [[], [], []]
     assert [dropped.t for dropped in buffer.put(item(3, 10))] == [0]
-    taken = buffer.take(10, 10**6, 0)
+    taken = buffer.next_messages(10, 10**6, 0)
     assert [i.t for i in taken] == [1, 2, 3]
     # A message that was taken and not released still counts.
     assert buffer.put(item(4, 10)) == []
@@ -82,7 +82,7 @@ def test_buffer_takes_one_message_of_any_size():
     buffer = Buffer(1000)
     buffer.put(item(0, 100))
     assert [dropped.t for dropped in buffer.put(item(1, 10**6))] == [0]
-    assert [i.t for i in buffer.take(10, 10**9, 0)] == [1]
+    assert [i.t for i in buffer.next_messages(10, 10**9, 0)] == [1]
     unbounded = Buffer(0)
     assert not any(unbounded.put(item(n, 10**5)) for n in range(100))
 
@@ -92,9 +92,9 @@ def test_buffer_ends():
     buffer.put(item(0))
     buffer.close()
     assert not buffer.ended
-    assert len(buffer.take(10, 10**6, 5)) == 1
+    assert len(buffer.next_messages(10, 10**6, 5)) == 1
     assert buffer.ended
-    assert buffer.take(10, 10**6, 0) == []
+    assert buffer.next_messages(10, 10**6, 0) == []
 
 
 def gaps(*runs):

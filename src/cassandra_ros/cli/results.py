@@ -214,7 +214,7 @@ def _groups(rows: Rows) -> Iterator[list[tuple[object, ...]]]:
     size = 0
     for row in rows:
         bound = AnswerBound("a row", "select fewer columns, or write it by --output csv or ndjson")
-        bound.take(sum(map(least_bytes, row)))
+        bound.count_part(sum(map(least_bytes, row)))
         group.append(row)
         size += bound.bytes
         if len(group) >= GROUP_ROWS or size >= GROUP_BYTES:

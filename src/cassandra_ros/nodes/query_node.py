@@ -288,7 +288,7 @@ class QueryServices:
             bound = AnswerBound("a row of the answer", _FEWER)
             for values in islice(result, limit):
                 try:
-                    bound.take(64 + 16 * len(values))
+                    bound.count_part(64 + 16 * len(values))
                     row = Row([bound.json(value) for value in values])
                 except AnswerTooLarge:
                     if response.rows:
@@ -331,7 +331,7 @@ class QueryServices:
             response = SqlResponse(success=True, columns=[clean(c) for c in answer.columns])
             bound, rows = AnswerBound("the answer", _FEWER), iter(answer)
             for values in islice(rows, limit):
-                bound.take(64 + 16 * len(values))
+                bound.count_part(64 + 16 * len(values))
                 row = [bound.json(printable_value(value)) for value in values]
                 response.rows.append(Row(row))
             response.more = len(response.rows) == limit and next(rows, None) is not None
@@ -476,7 +476,7 @@ def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
     """
     if not omit_data:
         what = f"the message of {row.size} bytes at {row.key} of topic {clean(row.topic)}"
-        AnswerBound(what, _ELSEWHERE).take(row.size)
+        AnswerBound(what, _ELSEWHERE).count_part(row.size)
     return StoredMessage(
         key=_time(row.t),
         key_text=clean(row.name) or (iso_time(row.t) if row.table.value_part else str(row.t)),

@@ -89,7 +89,7 @@ def subscribe(
     tcpros_base.read_ros_handshake_header = read_header
     tcpros_base.recv_buff = receive
 
-    def take(msg: rospy.AnyMsg) -> None:
+    def pass_on(msg: rospy.AnyMsg) -> None:
         # rospy itself may have subscribed with a class: to /clock for simulated time.
         wire = msg._buff if isinstance(msg, rospy.AnyMsg) else serialize(msg)
         callback(topic, msg._connection_header, wire)
@@ -98,12 +98,12 @@ def subscribe(
     with manager.lock:
         impl = manager.get_subscriber_impl(topic)
         if impl is None:
-            impl = _Subscription(topic, take, tcp_nodelay)
+            impl = _Subscription(topic, pass_on, tcp_nodelay)
             manager._add(impl, manager.subs, Registration.SUB)
             subscriber = rospy.Subscriber(topic, rospy.AnyMsg)
-            subscriber.callback = take  # so that ``unregister`` removes it
+            subscriber.callback = pass_on  # so that ``unregister`` removes it
         else:
-            subscriber = rospy.Subscriber(topic, rospy.AnyMsg, take)
+            subscriber = rospy.Subscriber(topic, rospy.AnyMsg, pass_on)
     if on_gap is not None and isinstance(impl, _Subscription):
         impl.on_gaps.append(on_gap)
     return subscriber
@@ -133,7 +133,9 @@ def was_heard(subscriber: rospy.Subscriber) -> bool:
 class _Subscription(_SubscriberImpl):
     """The implementation of a subscription in rospy, with the repairs described above."""
 
-    def __init__(self, name: str, take: Callable[[rospy.AnyMsg], None], tcp_nodelay: bool) -> None:
+    def __init__(
+        self, name: str, pass_on: Callable[[rospy.AnyMsg], None], tcp_nodelay: bool
+    ) -> None:
         super().__init__(name, rospy.AnyMsg)
         self.set_buff_size(BUFF_SIZE)
         self.set_tcp_nodelay(tcp_nodelay)
@@ -143,7 +145,7 @@ class _Subscription(_SubscriberImpl):
         self.on_gaps: list[OnGap] = []
         self.heard = False
         """Whether a publisher was ever connected."""
-        self.add_callback(take, None)
+        self.add_callback(pass_on, None)
 
     def has_connection(self, endpoint_id: str) -> bool:
         """Return whether a publisher is connected; wait for another thread that connects to it."""

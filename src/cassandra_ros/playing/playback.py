@@ -372,7 +372,7 @@ class Playback:
             if self._is_broken():
                 return None
             self.pace.release(Pace.BEGIN)
-            return reader.take()
+            return reader.next_message()
 
     def _await(self, played: PlayedMessage) -> bool:
         """Wait until a message may be published; return False after a stop or a seek."""

@@ -104,7 +104,7 @@ class ReadAhead:
         return self._held
 
     def await_next(self, timeout_sec: float) -> bool:
-        """Wait until ``take`` has an answer; the caller holds the lock of ``changed``.
+        """Wait until ``next_message`` has an answer; the caller holds the lock of ``changed``.
 
         Returns:
             False if the wait ended without one: by a notification or after ``timeout_sec``.
@@ -115,7 +115,7 @@ class ReadAhead:
             self._wanted = False
         return bool(self._items or self._ended)
 
-    def take(self) -> PlayedMessage | None:
+    def next_message(self) -> PlayedMessage | None:
         """Return the next message, after ``await_next`` and under its lock; None = the end.
 
         Raises:
@@ -141,7 +141,7 @@ class ReadAhead:
         error: BaseException | None = None
         try:
             self._read(t)
-        except BaseException as exc:  # noqa: BLE001 - raised again in take()
+        except BaseException as exc:  # noqa: BLE001 - raised again in next_message
             error = exc
         with self._changed:
             self._error, self._ended = error, True

@@ -131,7 +131,7 @@ class _OpenSegment(NamedTuple):
 class Backlog:
     """The waiting messages of one run.
 
-    ``take`` and ``delete_stored_files`` are called by one thread.
+    ``next_messages`` and ``delete_stored_files`` are called by one thread.
 
     Args:
         buffer: Messages in memory.
@@ -197,8 +197,13 @@ class Backlog:
 
     # ---------------------------------------------------------------- the writing thread
 
-    def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[BufferedMessage]:
-        """Take the oldest messages as Buffer.take does; those read from a file are a chunk."""
+    def next_messages(
+        self, most: int, most_bytes: int, timeout_sec: float
+    ) -> list[BufferedMessage]:
+        """Remove and return the oldest messages, as Buffer.next_messages does.
+
+        Those read from a file are one chunk of it, of any size.
+        """
         self._taken_at = time.monotonic()
         if self.leaving:
             return []
@@ -211,7 +216,7 @@ class Backlog:
                 return taken
         if self._parking:
             return self._read()
-        return [] if self._journal else self._buffer.take(most, most_bytes, timeout_sec)
+        return [] if self._journal else self._buffer.next_messages(most, most_bytes, timeout_sec)
 
     def _take_handed(self, most: int, most_bytes: int, timeout_sec: float) -> list[BufferedMessage]:
         taken: list[BufferedMessage] = []
@@ -342,7 +347,7 @@ class Backlog:
         with self._changed:
             if not (self._journal or self._parking):
                 return False  # the writing thread has read all files meanwhile
-            items = self._buffer.take(CHUNK_MESSAGES, CHUNK_BYTES, 0.0)
+            items = self._buffer.next_messages(CHUNK_MESSAGES, CHUNK_BYTES, 0.0)
             # All messages of a file have one generation of the counter: a file names one writer.
             high = items[0].counter >> COUNTER_BITS if items else 0
             same = [item for item in items if item.counter >> COUNTER_BITS == high]
@@ -592,7 +597,7 @@ class Backlog:
         self._done.set()
         self._thread.join()
         with self._changed:
-            while items := self._buffer.take(CHUNK_MESSAGES, CHUNK_BYTES, 0.0):
+            while items := self._buffer.next_messages(CHUNK_MESSAGES, CHUNK_BYTES, 0.0):
                 self._back += map(_spooled_row, items)
                 self._buffer.release_all(items)
             for generation in sorted({generation for generation, _ in self._back}):

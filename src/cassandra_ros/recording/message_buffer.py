@@ -167,8 +167,10 @@ class Buffer:
             while self.held_bytes and self.held_bytes + nbytes + ITEM_BYTES > self._bound // 8:
                 self._changed.wait(0.05)
 
-    def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[BufferedMessage]:
-        """Take the oldest messages, at least one; [] after the timeout or a ``wake``.
+    def next_messages(
+        self, most: int, most_bytes: int, timeout_sec: float
+    ) -> list[BufferedMessage]:
+        """Remove and return the oldest messages, at least one; [] after the timeout or a ``wake``.
 
         Args:
             most: Maximum number of messages.
@@ -207,7 +209,7 @@ class Buffer:
             self.held_bytes -= sum(item.nbytes for item in items)
 
     def wake(self) -> None:
-        """Let a waiting ``take`` return at once."""
+        """Let a waiting ``next_messages`` return at once."""
         with self._changed:
             self._changed.notify_all()
 

@@ -186,7 +186,7 @@ class PlaceKeeper:
         self._noted = self._read_to = -1
         """Times up to which all poses are indexed, and were read, ns; -1 = no pose yet."""
 
-    def take(self, source: MessageSource, t: int, wire: bytes) -> None:
+    def add_message(self, source: MessageSource, t: int, wire: bytes) -> None:
         """Take a message with poses of the robot, without waiting.
 
         Call it for sources with ``tells_places`` only, in the order of reception, by one thread at

@@ -343,7 +343,7 @@ class Recording:
         counter = self._counter
         self._counter += 1
         if feed.source.tells_places:
-            self._places.take(feed.source, t, wire)
+            self._places.add_message(feed.source, t, wire)
         return self._buffer.put(BufferedMessage(feed.source, t, counter, wire))
 
     def follow(self, message: StampedMessage) -> None:
@@ -374,7 +374,7 @@ class Recording:
                 feed = self._feed(topic, header)
                 self._counts.attribute(topic, wire, feed)
                 if feed.source.tells_places:
-                    self._places.take(feed.source, t, wire)
+                    self._places.add_message(feed.source, t, wire)
             self._buffer.wait_for_room(len(wire))
             for item in self._buffer.put(BufferedMessage(feed.source, t, counter, wire)):
                 self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
@@ -536,7 +536,7 @@ class Recording:
     def _lose_all(self, why: str) -> None:
         """Count all messages as lost: the run could not be opened."""
         while not self._buffer.ended:
-            for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+            for item in self._buffer.next_messages(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
                 self._lose(item.source.topic, LossKind.AT_END, why, item.t)
                 self._buffer.release(item)
 
@@ -545,7 +545,7 @@ class Recording:
         if self._backlog is not None and self._waiting_bytes > self._most_waiting:
             time.sleep(POLL_SEC)  # the rest waits on disk
         else:
-            for item in self._queue.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+            for item in self._queue.next_messages(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
                 self._route(item)
         while self._tables.decided:
             source = self._tables.decided.popleft()

@@ -152,7 +152,8 @@ class _SnapshotRun:
     abandoned: bool = False
     """Whether ``Snapshots.abandon`` has reported on it already."""
 
-    def take(self, message: StampedMessage) -> None:
+    def add_message(self, message: StampedMessage) -> None:
+        """Store a new message if the snapshot follows its topic; keep it until the run starts."""
         if not self.follows or (self.topics and message[0] not in self.topics):
             return
         if self.recording is None:
@@ -229,7 +230,7 @@ class Snapshots:
             message = (topic, header, wire, t)
             self.ring.add(message)
             for writing in self._writing:
-                writing.take(message)
+                writing.add_message(message)
 
     def write(
         self,

@@ -404,7 +404,7 @@ class MessageWriter:
         seq = self._high | counter
         blocks = handle.blocks
         try:
-            if blocks is not None and blocks.take(t_ns, seq, wire):
+            if blocks is not None and blocks.add_message(t_ns, seq, wire):
                 return None
             tries = 1
             while True:
@@ -437,7 +437,7 @@ class MessageWriter:
             seqs = self._high | counters
             handle = self._current(handle)
             if handle.blocks is not None:
-                count = handle.blocks.take_run(times, seqs, wires)
+                count = handle.blocks.add_messages(times, seqs, wires)
             else:
                 count = self._put_rows(handle, times, seqs, wires)
         rest = zip(times[count:].tolist(), counters[count:].tolist(), wires[count:])
@@ -480,7 +480,7 @@ class MessageWriter:
 
     def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow | None:
         if handle.blocks is not None:
-            if not handle.blocks.take(t_ns, seq, wire):
+            if not handle.blocks.add_message(t_ns, seq, wire):
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
             return None
         row = handle.table.make_row(t_ns, seq, handle.conn, wire, name)

@@ -67,7 +67,7 @@ def json_bytes(answer: Json) -> bytes:
     rows: list[bytes] = []
     for text in _texts(answer):
         raw = text.encode("utf-8", "backslashreplace")
-        bound.take(len(raw))
+        bound.count_part(len(raw))
         rows.append(raw)
     return b"".join(rows)
 

@@ -42,7 +42,7 @@ class JsonConverter:
 
     def shown(self, value: object) -> Json:
         """Return a value of a row as JSON; raises AnswerTooLarge."""
-        self._bound.take(_FLOAT_BYTES if isinstance(value, float) else 8)
+        self._bound.count_part(_FLOAT_BYTES if isinstance(value, float) else 8)
         if isinstance(value, (str, bytes, bytearray, list)):
             return self._several(value)
         if value is None or isinstance(value, bool):
@@ -60,7 +60,7 @@ class JsonConverter:
         if isinstance(first, list):
             shown: Json = [self.shown(element) for element in first]
         else:
-            self._bound.take(len(first))
+            self._bound.count_part(len(first))
             text = first if isinstance(first, str) else base64.b64encode(first).decode("ascii")
             shown = str(text)
         return shown if first is value else {"first": shown, "of": count}

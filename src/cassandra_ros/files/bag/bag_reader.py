@@ -471,7 +471,7 @@ class _Scan:
         data_bytes = data_bytes if whole else min(size - data_pos, most)
         # Damage may make many headers that state more than the file has: each of them costs.
         taken = min(declared, most) if whole else max(min(declared, most), data_bytes)
-        self.allowance.take(compression, taken, data_bytes, where)
+        self.allowance.count_chunk(compression, taken, data_bytes, where)
         data = self.file.read(data_bytes)
         large, whole = declared > most, whole and declared <= most
         try:
@@ -482,7 +482,7 @@ class _Scan:
             whole = False
         if not whole:
             content = bagformat.unpack_part(compression, data, min(declared or most, most))
-        count = partial(self.allowance.records, where)
+        count = partial(self.allowance.count_records, where)
         end, times, counts = _readable_records(content, where, self.connections, count)
         if counts:
             self.infos.append(_chunk_info(position, times, counts))
@@ -659,7 +659,7 @@ class BagReader(BagIndex, MessageFile):
             return CutChunk("none", self._chunk(chunk)[0], 0, 0), {}
         connections = dict.fromkeys(self.numbers, b"")
         where = self._where(chunk)
-        count = partial(self._allowance.records, where)
+        count = partial(self._allowance.count_records, where)
         stop, _, counts = _readable_records(content, where, connections, count, start_ns, end_ns)
         usable = {i: n for i, n in counts.items() if i not in self._unusable}
         numbered = {self.numbers.get(file_id, -1): count for file_id, count in usable.items()}
@@ -668,7 +668,7 @@ class BagReader(BagIndex, MessageFile):
     def _allow(self, chunk: int, compression: str, size: int, data_bytes: int) -> None:
         """Count the unpacked size of a chunk, once; raises BagTooLarge."""
         if not self._counted[chunk]:
-            self._allowance.take(compression, size, data_bytes, self._where(chunk))
+            self._allowance.count_chunk(compression, size, data_bytes, self._where(chunk))
             self._counted[chunk] = 1
 
     def chunk_info(self, chunk: int) -> ChunkInfo:
@@ -706,7 +706,7 @@ class BagReader(BagIndex, MessageFile):
             content = bagformat.decompress_chunk(compression, data, size, where)
             offsets = self._offsets(counts)
         first = cut is None and not self._records_counted[chunk]
-        count = partial(self._allowance.records, where) if first else bagformat.uncounted
+        count = partial(self._allowance.count_records, where) if first else bagformat.uncounted
         messages = bagformat.find_messages(content, where, offsets, count)
         self._records_counted[chunk] = 1
         if self._unusable:

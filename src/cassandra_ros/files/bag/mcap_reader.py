@@ -209,7 +209,9 @@ class McapReader(MessageFile):
             BagError: The chunk is damaged.
         """
         entry, where = self._chunks[chunk], self._where(chunk)
-        count = uncounted if entry.records_counted else partial(self._allowance.records, where)
+        count = (
+            uncounted if entry.records_counted else partial(self._allowance.count_records, where)
+        )
         messages = mcapformat.find_messages(content, where, offsets, count)
         entry.records_counted = True
         return messages
@@ -266,7 +268,7 @@ class McapReader(MessageFile):
                 head, place = mcapformat.read_chunk_head(self._file, chunk, self.path, cut=True)
                 self._take(head, place, position)
                 where = f"in the chunk at byte {position} of {file_bytes}"
-                count = partial(self._allowance.records, f"{self.path} {where}")
+                count = partial(self._allowance.count_records, f"{self.path} {where}")
                 records = mcapformat.unpack_part(head, self._bytes(place), count)
                 entry = _Chunk(place, head, salvaged=records, records_counted=True)
                 self._chunks.append(entry)
@@ -353,7 +355,7 @@ class McapReader(MessageFile):
             BagTooLarge: The Allowance does not permit it.
         """
         where, packed = f"{self.path}: the chunk at byte {position}", place.stop - place.start
-        self._allowance.take(head.compression, head.size, packed, where)
+        self._allowance.count_chunk(head.compression, head.size, packed, where)
 
     def _text(self, record: McapRecord) -> bytes:
         """Read a record that describes the file."""
@@ -368,7 +370,7 @@ class McapReader(MessageFile):
     def _note_loose(self, record: McapRecord) -> None:
         """Add a message outside of chunks to the messages directly before it."""
         start, size = record.start - mcapformat.RECORD.size, record.stop - record.start
-        self._allowance.take("none", size, size, f"{self.path}: the message at byte {start}")
+        self._allowance.count_chunk("none", size, size, f"{self.path}: the message at byte {start}")
         last = self._chunks[-1].record if self._chunks else None
         if (
             last is not None

@@ -57,7 +57,7 @@ class Allowance:
         self._most_records = max(MAX_RECORDS, file_bytes)
         self._records = 0
 
-    def take(self, compression: str, size: int, packed: int, where: str) -> None:
+    def count_chunk(self, compression: str, size: int, packed: int, where: str) -> None:
         """Count a chunk before it is unpacked. The caller unpacks at most ``size`` bytes of it.
 
         Args:
@@ -82,7 +82,7 @@ class Allowance:
                 f"more than {MAX_RATIO} times its size is not read{self._remedy()}"
             )
 
-    def records(self, where: str, number: int) -> None:
+    def count_records(self, where: str, number: int) -> None:
         """Count records of chunks, while they are read for the first time.
 
         Args:

@@ -79,7 +79,7 @@ class TopicSample:
     wires: Wires = field(default_factory=list)
     nbytes: int = 0
 
-    def take(self, t_ns: int, wire: bytes, most: int) -> bool:
+    def add_message(self, t_ns: int, wire: bytes, most: int) -> bool:
         """Add a message, unless the sample is full; return whether it was added."""
         if len(self.wires) >= most or (self.wires and self.nbytes + len(wire) > SAMPLE_BYTES):
             return False
@@ -117,7 +117,9 @@ def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) ->
             break
         for message in reader.chunk_messages(chunk, wanted):
             sample = of[message.number]
-            if message.number in wanted and not sample.take(message.t_ns, message.data, most):
+            if message.number in wanted and not sample.add_message(
+                message.t_ns, message.data, most
+            ):
                 wanted -= {number for number, other in of.items() if other is sample}
     return list(samples.values())
 
@@ -169,7 +171,7 @@ def _fill(
             if row.table.name != sample.table or row.place in seen:
                 continue
             seen.add(row.place)
-            if not sample.take(row.received, row.wire, most):
+            if not sample.add_message(row.received, row.wire, most):
                 return
 
 

@@ -211,8 +211,8 @@ class LiveQueue:
         with self._changed:
             return self._messages[0] if self._messages else None
 
-    def take(self, timeout_sec: float) -> LiveMessage | None:
-        """Take the oldest message; None after the timeout or when the queue is closed."""
+    def next_message(self, timeout_sec: float) -> LiveMessage | None:
+        """Remove and return the oldest message; None after the timeout or once it is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._messages or self._closed, timeout_sec)
             if self._closed or not self._messages:

@@ -152,7 +152,7 @@ class History:
         self.live = True
         self._seen.clear()
         while not self._queue.closed:
-            message = self._queue.take(1.0)
+            message = self._queue.next_message(1.0)
             if message is not None and message.wanted:
                 yield HistoryMessage(message.t, message.header, message.wire, False)
             if self._late_sec and time.monotonic() > self._late_sec[0]:
@@ -445,7 +445,7 @@ class History:
             message = self._queue.first()
             if message is None or message.t >= t or expected[message.publisher] > 0:
                 return
-            self._queue.take(0.0)
+            self._queue.next_message(0.0)
             if message.wanted:
                 yield HistoryMessage(message.t, message.header, message.wire, False)
 

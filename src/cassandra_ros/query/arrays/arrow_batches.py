@@ -154,7 +154,7 @@ class _BatchMaker:
     def of_rows(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
         """Yield batches of some rows of one table, without those that were deleted meanwhile."""
         reader = self._schema.row_columns(rows[0].table)
-        raws = [] if reader is None else [reader.take(row) for row in rows]
+        raws = [] if reader is None else [reader.columns_of(row) for row in rows]
         if reader is None or raws.count(None) > MOST_UNUSUAL * len(rows):
             yield from self._of_messages(rows)
             return

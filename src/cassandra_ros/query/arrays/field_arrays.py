@@ -201,7 +201,7 @@ def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, Fie
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
     arrays = {}
     for name, kind in dict(unite_columns([table.groups for table in tables])).items():
-        values, missing = join_values([table.take(name, kind) for table in filled], kind)
+        values, missing = join_values([table.pop_column(name, kind) for table in filled], kind)
         if order is not None:
             values, missing = values[order], missing[order]
         if kind.kind == INTEGER:

@@ -70,8 +70,8 @@ class RowColumns:
         few = len(columns) <= LARGEST_SHARE * len(names)
         return cls(arrow, fields, columns, names) if few and columns.keys() <= set(names) else None
 
-    def take(self, row: Row) -> Raws | None:
-        """Return the columns of a row; None = the message is needed."""
+    def columns_of(self, row: Row) -> Raws | None:
+        """Return the bytes of the fields' columns in a row; None = the message is needed."""
         columns = row.columns
         if len(columns) == self._whole[0]:
             columns = tuple(columns[n] for n in self._whole[1])

@@ -335,10 +335,10 @@ class TableValues:
         """Numbers of the rows that the values come from."""
         return np.concatenate(self._orders)
 
-    def take(self, name: str, kind: ArrayType) -> ColumnArray:
-        """Return the values of a column as type ``kind`` and forget them.
+    def pop_column(self, name: str, kind: ArrayType) -> ColumnArray:
+        """Return the values of a column as type ``kind``, and forget them to free their memory.
 
-        Missing if not in the table.
+        If the table lacks the column, each value is missing.
         """
         for n, (output, own_kind) in enumerate(zip(self._outputs, self._kinds)):
             if output.name == name:

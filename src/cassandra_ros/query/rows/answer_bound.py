@@ -33,7 +33,7 @@ class AnswerBound:
         self._what, self._remedy = what, remedy
         self.bytes = 0
 
-    def take(self, size: int) -> None:
+    def count_part(self, size: int) -> None:
         """Count a part of ``size`` bytes that is about to be made.
 
         Raises:
@@ -52,12 +52,12 @@ class AnswerBound:
     def json(self, value: object) -> str:
         """Count a value of a result and return it as JSON text, like to_json.
 
-        Raises as ``take``.
+        Raises as ``count_part``.
         """
         least = least_bytes(value)
-        self.take(least)
+        self.count_part(least)
         text = to_json(value)
-        self.take(max(0, len(text) - least))
+        self.count_part(max(0, len(text) - least))
         return text
 
 

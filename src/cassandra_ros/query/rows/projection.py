@@ -637,14 +637,14 @@ def _others(parts: Sequence[tuple[int, int, Get]]) -> _Fill:
 
 
 def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
-    take = itemgetter(*(at for _, at, _ in parts))
+    pick = itemgetter(*(at for _, at, _ in parts))
     unpack = struct.Struct(">" + "".join(d.code for _, _, d in parts)).unpack
     places = [place for place, _, _ in parts]
     first, end = places[0], places[-1] + 1
     together = places == list(range(first, end))
 
     def fill(columns: _RawColumns, values: list[Any]) -> bool:
-        raws = take(columns)
+        raws = pick(columns)
         if None in raws:
             return False
         if together:
@@ -676,16 +676,16 @@ def _compile_show(columns: _ShownColumns, computed: Sequence[Get] = ()) -> _Show
     # The row's key is appended to the values.
     places = [-1 if n in keys else place for n, (place, _) in enumerate(columns)]
     if None in places or len(places) < 2:
-        take = _take(places)
+        pick = _picker(places)
     else:
-        take = itemgetter(*places)
+        pick = itemgetter(*places)
 
     def show(row: Row, values: list[Any]) -> tuple[Any, ...]:
         if keys:
             values.append(row.key)
         if not gets:
-            return take(values)
-        cells = list(take(values))
+            return pick(values)
+        cells = list(pick(values))
         for n, get in gets:
             cells[n] = get(cells[n])
         for n, first in copies:
@@ -695,5 +695,5 @@ def _compile_show(columns: _ShownColumns, computed: Sequence[Get] = ()) -> _Show
     return show
 
 
-def _take(places: Sequence[int | None]) -> Callable[[list[Any]], tuple[Any, ...]]:
+def _picker(places: Sequence[int | None]) -> Callable[[list[Any]], tuple[Any, ...]]:
     return lambda values: tuple([None if place is None else values[place] for place in places])

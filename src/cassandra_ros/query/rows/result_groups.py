@@ -249,8 +249,12 @@ class _Memory:
         self._text, self._position, self._remedy = select.text, position, remedy
         self._bytes = 0
 
-    def take(self, row: ResultRow, more: int = 0) -> None:
-        """Count a row; InvalidQuery: the limit is exceeded."""
+    def count_row(self, row: ResultRow, more: int = 0) -> None:
+        """Count a kept row and ``more`` bytes.
+
+        Raises:
+            InvalidQuery: The limit is exceeded.
+        """
         self._bytes += _size(row) + more
         if self._bytes > MEMORY_BYTES:
             reason = f"more than {MEMORY_BYTES // 2**20} MiB would have to be kept"
@@ -293,7 +297,7 @@ def _group(select: Select, rows: Iterable[ResultRow], width: int) -> Iterator[Re
             memory.clear()
         latest = key[times[0]] if times else None
         if key not in groups:
-            memory.take(row, TOTAL_BYTES * len(row))
+            memory.count_row(row, TOTAL_BYTES * len(row))
             groups[key] = (Aggregation(select), by)
         groups[key][0].add((row,))
     yield from _finish(groups)
@@ -313,7 +317,7 @@ def _distinct(select: Select, rows: Iterable[ResultRow], width: int) -> Iterator
         key = tuple(map(_identity, row[:width]))
         if key not in keys:
             keys.add(key)
-            memory.take(row, getsizeof(key))
+            memory.count_row(row, getsizeof(key))
             yield row
 
 
@@ -354,9 +358,9 @@ def _order(
                 buffer = _first(buffer, most)
                 memory.clear()
                 for _, other in buffer:
-                    memory.take(other)
+                    memory.count_row(other)
             else:
-                memory.take(row)
+                memory.count_row(row)
         pairs = _first(buffer, most)
     except TypeError as exc:
         reason = f"the definitions of this topic hold values of different kinds there ({exc})"

@@ -187,7 +187,7 @@ class BlockBuilder:
         self._wires: list[bytes] = []
         self._received: list[int] = []
 
-    def take(self, received: int, seq: int, wire: bytes) -> bool:
+    def add_message(self, received: int, seq: int, wire: bytes) -> bool:
         """Add a message to a block; return False if its table was dropped.
 
         Args:
@@ -218,17 +218,19 @@ class BlockBuilder:
                 self.seal()
         return True
 
-    def take_run(self, received: Longs, seqs: Longs, wires: Sequence[bytes]) -> int:
-        """Add messages like ``take``.
+    def add_messages(self, received: Longs, seqs: Longs, wires: Sequence[bytes]) -> int:
+        """Add messages like ``add_message``.
 
-        Return how many were added, fewer if the table was dropped.
+        Return how many were added: fewer if the table was dropped.
         """
         nbytes = np.cumsum(np.fromiter(map(len, wires), np.int64, len(wires)))
         alone = np.diff(nbytes, prepend=0).max(initial=0) > ALONE_BYTES
         times, numbers = received.tolist(), seqs.tolist()
         if alone or self._key_time is not None:
             every = zip(times, numbers, wires)
-            return next((n for n, args in enumerate(every) if not self.take(*args)), len(wires))
+            return next(
+                (n for n, args in enumerate(every) if not self.add_message(*args)), len(wires)
+            )
         at = 0
         with self._lock:
             while at < len(wires):

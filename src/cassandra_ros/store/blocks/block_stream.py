@@ -195,8 +195,8 @@ class OpenedBlock:
         """Key time of the last remaining message, ns."""
         return self.row.t if self.block is None else int(self.block.times[self.places[-1]])
 
-    def take(self, count: int, *, reverse: bool) -> OpenedBlock:
-        """Take at most ``count`` messages, from the beginning or (reverse) from the end."""
+    def split_off(self, count: int, *, reverse: bool) -> OpenedBlock:
+        """Remove and return at most ``count`` messages from the beginning or (reverse) the end."""
         cut = max(0, self.left - count) if reverse else min(count, self.left)
         parts = self.places[:cut], self.places[cut:]
         places, self.places = parts[::-1] if reverse else parts
@@ -419,7 +419,7 @@ class BlockQueue:
         for block in batch.blocks():
             head = block
             if batch.wanted and block.block is not None:
-                head = block.take(max(FEW_ROWS, batch.wanted), reverse=self._bucket.reverse)
+                head = block.split_off(max(FEW_ROWS, batch.wanted), reverse=self._bucket.reverse)
                 if block.left:
                     self._add(block)
             yield self._bucket.rows(head)
@@ -601,7 +601,7 @@ def _whole(bucket: BucketRead, pages: _Pages) -> Iterator[TableRow]:
                 # The block overlaps no other. Its rows are made in small groups, because Python's
                 # collector walks through all rows that exist at the same time.
                 while opened.left:
-                    yield from bucket.rows(opened.take(ROWS_AT_ONCE, reverse=False))
+                    yield from bucket.rows(opened.split_off(ROWS_AT_ONCE, reverse=False))
                 continue
             buffer.add(bucket.rows(opened))
             yield from buffer.rest() if bound is None else buffer.until(bound, bucket.node)

@@ -331,8 +331,8 @@ class _ReceiveBuffer:
         """Return all bytes, for an error text."""
         return b"".join(self._pieces)
 
-    def take(self, size: int) -> bytes:
-        """Take ``size`` bytes from the front; the caller knows that there are enough."""
+    def pop_bytes(self, size: int) -> bytes:
+        """Remove and return the first ``size`` bytes; the caller knows that there are enough."""
         self._size -= size
         pieces = []
         while size:
@@ -421,7 +421,7 @@ class BufferedConnection(DefaultConnection):
             if self._frame is None:
                 if received.tell() < _HEAD.size:
                     return
-                version, *kind, size = _HEAD.unpack(received.take(_HEAD.size))
+                version, *kind, size = _HEAD.unpack(received.pop_bytes(_HEAD.size))
                 version &= 0x7F
                 if version not in ProtocolVersion.SUPPORTED_VERSIONS or size < 0:
                     self.defunct(ProtocolError("what answers there does not speak CQL"))
@@ -431,7 +431,7 @@ class BufferedConnection(DefaultConnection):
             if received.tell() < size:
                 return
             self._frame = None
-            self.process_msg(frame, received.take(size))
+            self.process_msg(frame, received.pop_bytes(size))
 
     def push(self, data: bytes) -> None:
         """Send a small request or queue a large one.

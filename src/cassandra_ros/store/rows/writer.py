@@ -293,10 +293,10 @@ class OpenBucket:
         large = batch.nbytes >= BATCH_BYTES or batch.held >= HELD_BYTES
         return large or len(batch.rows) >= BATCH_ROWS
 
-    def take(self) -> tuple[Batch, BatchStatement]:
+    def finish_batch(self) -> tuple[Batch, BatchStatement]:
         """Return the filled batch with the statement that stores it, and begin a new batch."""
         rows = self._encode()
-        batch = self.drop()
+        batch = self.drop_batch()
         statement = BatchStatement(BatchType.UNLOGGED)
         statement.is_idempotent = True
         # Does at once what BatchStatement.add does row by row (10 to 6 µs a row).
@@ -306,7 +306,7 @@ class OpenBucket:
         self.begin_request()
         return batch, statement
 
-    def drop(self) -> Batch:
+    def drop_batch(self) -> Batch:
         """Return the filled batch, and begin a new one."""
         batch, self.batch = self.batch, Batch()
         return batch
@@ -623,7 +623,7 @@ class RowWriter:
         self._put(bucket, None)
 
     def _send(self, bucket: OpenBucket) -> None:
-        batch, statement = bucket.take()
+        batch, statement = bucket.finish_batch()
 
         def outcome(exc: BaseException | None) -> None:
             if exc is None:
@@ -812,7 +812,7 @@ class RowWriter:
             except (*GONE, StoreUnavailable) as exc:
                 if isinstance(exc, StoreUnavailable) and not self.gives_back:
                     raise
-                batch = bucket.drop()
+                batch = bucket.drop_batch()
                 self._fail(bucket.table, batch.rewriters(), batch.times, exc)
                 return
         self._send(bucket)

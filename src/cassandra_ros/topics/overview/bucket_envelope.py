@@ -291,10 +291,10 @@ def _drain(values: TableValues, envelope: Envelope) -> None:
     """Move the gathered values into an envelope."""
     values.flush()
     (key_name, key), *kinds = (next(iter(group), ("", _NOTHING)) for group in values.groups)
-    times = values.take(key_name, key).values
+    times = values.pop_column(key_name, key).values
     numbers = np.full((len(kinds), len(times)), np.nan)
     for n, (name, kind) in enumerate(kinds):
         if kind is not _NOTHING:
-            numbers[n] = as_floats(values.take(name, kind), kind)
+            numbers[n] = as_floats(values.pop_column(name, kind), kind)
     envelope.add(times, numbers)
     values.renew()
