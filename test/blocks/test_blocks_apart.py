@@ -22,7 +22,12 @@ from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.store.blocks import block_row
 from cassandra_ros.store.blocks.block_deletion import BlockDeletion
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES, BlockKey, encode_int, encode_long
+from cassandra_ros.store.tables.row_table import (
+    LARGE_MESSAGE_CHUNK_BYTES,
+    BlockKey,
+    encode_int,
+    encode_long,
+)
 
 NODE = ""
 BUCKETS_AT_ENDS = 2
@@ -204,7 +209,7 @@ def test_a_deletion_of_messages_of_equal_times_takes_those_that_are_meant(rosCas
 
 def test_large_messages_lie_in_chunks(rosCas):
     definition = definition_of(UInt8MultiArray)
-    sizes = [10, CHUNK_BYTES + 5, 20, 2 * CHUNK_BYTES]
+    sizes = [10, LARGE_MESSAGE_CHUNK_BYTES + 5, 20, 2 * LARGE_MESSAGE_CHUNK_BYTES]
     wires = [serialize(UInt8MultiArray(data=bytes([n]) * size)) for n, size in enumerate(sizes)]
     with rosCas.messageWriter(format="packed") as writer:
         handle = writer.connect(api_connection("/large", definition, "/x"))

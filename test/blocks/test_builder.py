@@ -26,7 +26,7 @@ from cassandra_ros.store.blocks.block_builder import (
     make_block,
 )
 from cassandra_ros.store.blocks.codec import unpack_block
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 
 SPAN, BUCKET = 50, 170
 SMALL = BlockLimits(7, 100)
@@ -165,7 +165,7 @@ def test_messages_of_several_threads_are_all_there(steps, threads):
 
 def test_a_large_message_is_alone():
     cutter = Cutter(BlockLimits())
-    sizes = [10, ALONE_BYTES, ALONE_BYTES + 1, 10, 10, CHUNK_BYTES + 1, 10]
+    sizes = [10, ALONE_BYTES, ALONE_BYTES + 1, 10, 10, LARGE_MESSAGE_CHUNK_BYTES + 1, 10]
     cutter.add([(1000 + n, n, bytes(size)) for n, size in enumerate(sizes)])
     # The large ones do not wait.
     assert [len(block.wires) for _, block in cutter.blocks] == [2, 1, 2, 1]
@@ -219,7 +219,7 @@ def test_times_of_reception_are_kept():
     block = make_block(Table(), 1, [7, 5], [1, 2], [b"a", b"bc"], [100, 200])
     assert (block.times, block.seqs, block.received) == ([5, 7], [2, 1], [200, 100])
     assert unpack_block(block.data, 2, 3).received.tolist() == [200, 100]
-    large = make_block(Table(), 1, [5], [2], [bytes(CHUNK_BYTES + 1)], [200])
+    large = make_block(Table(), 1, [5], [2], [bytes(LARGE_MESSAGE_CHUNK_BYTES + 1)], [200])
     assert unpack_block(large.data, 1, 0).received.tolist() == [200]
 
 

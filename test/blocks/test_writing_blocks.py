@@ -27,7 +27,7 @@ from threads import together
 from cassandra_ros import Stamp
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 
 
 def packed(store, **options):
@@ -115,7 +115,7 @@ def test_the_chunks_of_a_large_message_are_deleted_with_it(rosCas, cql):
     with packed(rosCas) as writer:
         handle = connect(writer, cls=UInt8MultiArray)
         for number in range(3):
-            wire = serialize(UInt8MultiArray(data=os.urandom(2 * CHUNK_BYTES)))
+            wire = serialize(UInt8MultiArray(data=os.urandom(2 * LARGE_MESSAGE_CHUNK_BYTES)))
             writer.write(handle, T0 + number, number, wire)
     (table,) = rosCas.getTopic("/a").tables
     times = f'SELECT "_t" FROM {rosCas.keyspace}."{table.name}_c"'

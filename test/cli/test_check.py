@@ -13,7 +13,7 @@ from topics.test_run_states import T0, add, age, begin
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.rows.orphans import old_us, orphans, remove_orphans
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.upkeep.store_check import _agrees
 
 
@@ -23,7 +23,9 @@ def store(rosCas):
     rosCas.addTopic("/p", format="packed", msg_type="std_msgs/Int64")
     with begin(rosCas, 7, "run") as writer:
         add(writer, 5, "/p")
-    rosCas.addTopic("/big").addData(UInt8MultiArray(data=bytes(2 * CHUNK_BYTES)), key=T0)
+    rosCas.addTopic("/big").addData(
+        UInt8MultiArray(data=bytes(2 * LARGE_MESSAGE_CHUNK_BYTES)), key=T0
+    )
     rosCas.addTopic("/maps", key_format="manual").addData(Int64(0), key="kitchen")
     return rosCas
 
@@ -167,7 +169,7 @@ def test_what_is_being_written_is_no_damage(rosCas, call, cql, monkeypatch):
 
 @pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_is_removed_meanwhile_is_no_damage(rosCas, connect):
-    large = UInt8MultiArray(data=bytes(2 * CHUNK_BYTES))
+    large = UInt8MultiArray(data=bytes(2 * LARGE_MESSAGE_CHUNK_BYTES))
     for name, fmt in (("/blocks", "packed"), ("/rows", "ros")):
         topic = rosCas.addTopic(name, format=fmt)
         for n in range(3):
@@ -229,7 +231,7 @@ def test_bounds_of_any_values_agree_with_what_was_stored(rosCas, call):
     for n, number in enumerate(numbers):
         topic.addData(Float64(number), key=T0 + n)
     big = rosCas.addTopic("/big", format="packed", msg_type="std_msgs/UInt8MultiArray")
-    big.addData(UInt8MultiArray(data=bytes(2 * CHUNK_BYTES)), key=T0)
+    big.addData(UInt8MultiArray(data=bytes(2 * LARGE_MESSAGE_CHUNK_BYTES)), key=T0)
     texts = rosCas.addTopic("/s", format="packed", msg_type="std_msgs/String")
     for n, text in enumerate(["", "x" * 200, "\U0010ffff" * 40, "grün"]):
         texts.addData(String(text), key=T0 + n)

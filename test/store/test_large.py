@@ -28,7 +28,7 @@ from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.requests import MAX_BYTES, Flight
 from cassandra_ros.store.rows.writer import HELD_BYTES
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
@@ -39,8 +39,8 @@ MB = 10**6
 SIZES = [
     *(FRAME_BYTES, FRAME_BYTES + 1, FRAME_BYTES + 2),
     *(64 * 1024 - 1, 64 * 1024, 64 * 1024 + 1),
-    *(CHUNK_BYTES - 1, CHUNK_BYTES, CHUNK_BYTES + 1),
-    *(2 * CHUNK_BYTES, 8 * CHUNK_BYTES + 1, 5 * MB),
+    *(LARGE_MESSAGE_CHUNK_BYTES - 1, LARGE_MESSAGE_CHUNK_BYTES, LARGE_MESSAGE_CHUNK_BYTES + 1),
+    *(2 * LARGE_MESSAGE_CHUNK_BYTES, 8 * LARGE_MESSAGE_CHUNK_BYTES + 1, 5 * MB),
 ]
 
 
@@ -98,9 +98,9 @@ def test_every_size_comes_back(rosCas, cql, format_name):
     assert [row.size for row in topic.rows()] == SIZES
     assert rosCas.info()[0].bytes == sum(SIZES)
     assert chunksOf(cql, rosCas) == {
-        (T0 + n, rows[n].seq): -(-size // CHUNK_BYTES)
+        (T0 + n, rows[n].seq): -(-size // LARGE_MESSAGE_CHUNK_BYTES)
         for n, size in enumerate(SIZES)
-        if size > CHUNK_BYTES
+        if size > LARGE_MESSAGE_CHUNK_BYTES
     }
     # Their scalar columns are filled even where the bytes lie elsewhere.
     offsets = rosCas.executeCQL("select layout.data_offset from /big")
@@ -110,7 +110,7 @@ def test_every_size_comes_back(rosCas, cql, format_name):
 @pytest.mark.parametrize(("format_name", "small"), [("binary", 100), ("ros", 100), ("packed", 0)])
 def test_rows_of_large_messages_share_a_request(rosCas, monkeypatch, format_name, small):
     """And with small ones; those alone say how large a row may be."""
-    sizes = [CHUNK_BYTES + 1, small or CHUNK_BYTES + 2] * 6
+    sizes = [LARGE_MESSAGE_CHUNK_BYTES + 1, small or LARGE_MESSAGE_CHUNK_BYTES + 2] * 6
     messages, batches, submit = [messageOf(size) for size in sizes], [], Flight.submit
 
     def counting(flight, statement, *rest):
@@ -135,20 +135,26 @@ def test_rows_of_large_messages_share_a_request(rosCas, monkeypatch, format_name
 
 
 def test_rows_of_large_messages_do_not_wait_for_ever(rosCas):
-    messages = [messageOf(CHUNK_BYTES + 1) for _ in range(2 * HELD_BYTES // CHUNK_BYTES)]
+    messages = [
+        messageOf(LARGE_MESSAGE_CHUNK_BYTES + 1)
+        for _ in range(2 * HELD_BYTES // LARGE_MESSAGE_CHUNK_BYTES)
+    ]
     with rosCas.messageWriter(format="binary", linger_sec=3600) as writer:
         handle, topic = connect(writer), rosCas.getTopic("/big")
         for n, message in enumerate(messages):
             writer.write(handle, T0 + n, n, serialize(message))
-            assert writer.pending_bytes <= HELD_BYTES + MAX_BYTES + 2 * CHUNK_BYTES
-        await_true(lambda: topic.countTopicData() >= HELD_BYTES // CHUNK_BYTES)
+            assert writer.pending_bytes <= HELD_BYTES + MAX_BYTES + 2 * LARGE_MESSAGE_CHUNK_BYTES
+        await_true(lambda: topic.countTopicData() >= HELD_BYTES // LARGE_MESSAGE_CHUNK_BYTES)
         writer._rows._linger_sec = 0.0
         await_true(lambda: topic.countTopicData() == len(messages))
 
 
 def test_deletes_leave_no_orphan(rosCas, cql):
     topic = rosCas.addTopic("/big", "binary")
-    keys = [topic.addData(messageOf(CHUNK_BYTES + 1), key=T0 + n * 300 * SEC) for n in range(6)]
+    keys = [
+        topic.addData(messageOf(LARGE_MESSAGE_CHUNK_BYTES + 1), key=T0 + n * 300 * SEC)
+        for n in range(6)
+    ]
     topic.addData(messageOf(100), key=T0 + SEC)
     assert len(chunksOf(cql, rosCas)) == 6
     topic.removeData(keys[0])
@@ -243,7 +249,10 @@ CHANGES = [
 def test_what_was_changed_is_corrupt_and_the_others_are_not(rosCas, cql):
     topic = rosCas.addTopic("/big", "binary")
     count = len(CHANGES) + 2
-    keys = [topic.addData(messageOf(2 * CHUNK_BYTES + 9), key=T0 + n) for n in range(count)]
+    keys = [
+        topic.addData(messageOf(2 * LARGE_MESSAGE_CHUNK_BYTES + 9), key=T0 + n)
+        for n in range(count)
+    ]
     table = topic.tables[0]
     chunk_table = f'{rosCas.keyspace}."{table.name}_c"'
 
@@ -344,7 +353,7 @@ def _huge(rosCas, host, port):
         return (int(size), digest), int(more)
 
     written, more_to_write = run("write")
-    assert _chunks(rosCas, host, port) == -(-written[0] // CHUNK_BYTES)
+    assert _chunks(rosCas, host, port) == -(-written[0] // LARGE_MESSAGE_CHUNK_BYTES)
     read, more_to_read = run("read")
     assert read == written
     # Over the message itself: what is in the air; its parts once more while they are joined.

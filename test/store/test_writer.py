@@ -22,7 +22,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.tables.directory import BucketTotals
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -136,7 +136,12 @@ def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
     writer.close()
 
 
-SIZES = [CHUNK_BYTES - 100, CHUNK_BYTES + 1, 3 * CHUNK_BYTES, 5_000_001]
+SIZES = [
+    LARGE_MESSAGE_CHUNK_BYTES - 100,
+    LARGE_MESSAGE_CHUNK_BYTES + 1,
+    3 * LARGE_MESSAGE_CHUNK_BYTES,
+    5_000_001,
+]
 
 
 @pytest.mark.parametrize("format_name", ["binary", "ros"])

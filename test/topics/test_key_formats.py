@@ -235,7 +235,7 @@ def test_times_of_a_topic_with_values(rosCas):
 
 
 def test_more_rows_of_a_value_than_are_put_in_order_at_once(rosCas, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.store.rows.fetch.FEW_ROWS", 3)
+    monkeypatch.setattr("cassandra_ros.store.rows.fetch.ONE_QUERY_KEYS", 3)
     topic = rosCas.addTopic(
         "/a", key_format="msg_part", key_part="data", msg_type="std_msgs/String"
     )

@@ -26,7 +26,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.viewing.message_frames import CHUNK_BYTES
+from cassandra_ros.viewing.message_frames import STREAM_CHUNK_BYTES
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
 T0 = 1_500_000_000 * SECOND_NS
@@ -182,7 +182,7 @@ def test_a_page_is_bounded_but_has_a_message(viewer):
 def test_a_large_image_comes_in_pieces_and_whole(viewer, store):
     found = page(viewer, topics="/image")
     assert [m.data for m in found.messages] == [serialize(IMAGE)]
-    assert len(serialize(IMAGE)) > 5 * CHUNK_BYTES
+    assert len(serialize(IMAGE)) > 5 * STREAM_CHUNK_BYTES
     assert next(iter(store.readMessages(["/image"]))).chunked
 
 

@@ -10,7 +10,7 @@ from typing import Any, Iterator
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.store.tables.directory import bucket_for, span_for
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from suite.contenders.contender import Contender
 from suite.contenders.rosbags import Rosbag
@@ -46,7 +46,7 @@ class Store(Contender):
             self.batch.connection,
             bucket_for(*rate),
             span_ns=span_for(*rate),
-            large=bytes_per_sec > CHUNK_BYTES * hz,
+            large=bytes_per_sec > LARGE_MESSAGE_CHUNK_BYTES * hz,
         )
         assert self._handle.format == self.format, self._handle.warning
         self.table = self._handle.table.name

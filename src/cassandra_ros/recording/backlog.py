@@ -43,15 +43,15 @@ STALL_SEC = 1.0
 """Time in which the store takes no message, after which messages go to the spool, s."""
 LOOK_SEC = 0.2
 """Interval at which it is checked whether the store keeps up, s."""
-CHUNK_SEC = 0.05
+SPOOL_WRITE_SEC = 0.05
 """Interval at which messages are written to a file, s."""
 SYNC_SEC = 0.8
-"""Interval at which files are synced, s: with CHUNK_SEC a power cut costs less than 1 s."""
-CHUNK_BYTES = 1 << 20
+"""Interval at which files are synced, s: with SPOOL_WRITE_SEC a power cut costs less than 1 s."""
+SPOOL_WRITE_BYTES = 1 << 20
 """Size of messages that are written at once, bytes."""
 MESSAGE_BYTES = 64
 """Size of a message in a file in addition to its bytes, about, bytes."""
-CHUNK_MESSAGES = 4096
+SPOOL_WRITE_MESSAGES = 4096
 """Maximum number of messages that are written at once."""
 SEGMENT_BYTES = 16 << 20
 """Size from which a file is not written any further, bytes."""
@@ -338,7 +338,7 @@ class Backlog:
                 self._sync()
                 self._tell(now)
             if not more:
-                self._done.wait(CHUNK_SEC if self._journal or self._parking else LOOK_SEC)
+                self._done.wait(SPOOL_WRITE_SEC if self._journal or self._parking else LOOK_SEC)
 
     def _move(self) -> bool:
         """Write messages of the buffer to a file; return whether more may wait."""
@@ -347,7 +347,7 @@ class Backlog:
         with self._changed:
             if not (self._journal or self._parking):
                 return False  # the writing thread has read all files meanwhile
-            items = self._buffer.next_messages(CHUNK_MESSAGES, CHUNK_BYTES, 0.0)
+            items = self._buffer.next_messages(SPOOL_WRITE_MESSAGES, SPOOL_WRITE_BYTES, 0.0)
             # All messages of a file have one generation of the counter: a file names one writer.
             high = items[0].counter >> COUNTER_BITS if items else 0
             same = [item for item in items if item.counter >> COUNTER_BITS == high]
@@ -355,7 +355,9 @@ class Backlog:
                 self._buffer.put_back(items[len(same) :])
             if same:
                 self._keep(same, self._journal and not self._parking)
-        return len(items) >= CHUNK_MESSAGES or sum(i.nbytes for i in items) >= CHUNK_BYTES
+        return (
+            len(items) >= SPOOL_WRITE_MESSAGES or sum(i.nbytes for i in items) >= SPOOL_WRITE_BYTES
+        )
 
     def _is_needed(self) -> bool:
         """Decide whether messages go to files now."""
@@ -572,7 +574,7 @@ class Backlog:
             self._handed.clear()
         ends = time.monotonic() + LEAVE_SEC
         while self._buffer.waits and time.monotonic() < ends and self._retry_at < time.monotonic():
-            time.sleep(CHUNK_SEC)
+            time.sleep(SPOOL_WRITE_SEC)
         return not self._buffer.waits
 
     def take_back(
@@ -597,13 +599,13 @@ class Backlog:
         self._done.set()
         self._thread.join()
         with self._changed:
-            while items := self._buffer.next_messages(CHUNK_MESSAGES, CHUNK_BYTES, 0.0):
+            while items := self._buffer.next_messages(SPOOL_WRITE_MESSAGES, SPOOL_WRITE_BYTES, 0.0):
                 self._back += map(_spooled_row, items)
                 self._buffer.release_all(items)
             for generation in sorted({generation for generation, _ in self._back}):
                 rows = [row for row_generation, row in self._back if row_generation == generation]
-                for first in range(0, len(rows), CHUNK_MESSAGES):
-                    self._keep_rows(generation, rows[first : first + CHUNK_MESSAGES])
+                for first in range(0, len(rows), SPOOL_WRITE_MESSAGES):
+                    self._keep_rows(generation, rows[first : first + SPOOL_WRITE_MESSAGES])
             self._back.clear()
 
     def _keep_rows(self, generation: int, rows: Sequence[SpooledMessage]) -> None:

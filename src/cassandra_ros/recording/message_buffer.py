@@ -14,7 +14,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.recording.filters import TopicFilter
 from cassandra_ros.recording.place_keeper import tells_places
 from cassandra_ros.store.tables.directory import UNKNOWN_SPAN_NS, Lengths, bucket_for, span_for
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.message_writer import Handle
 
 ITEM_BYTES = 300
@@ -249,7 +249,7 @@ def lengths_for(messages: int, nbytes: int, seconds: float) -> Lengths:
     # Live blocks are closed by their age: a longer block would only make readers search more.
     bucket_ns = bucket_for(rate_hz, bytes_per_sec, LONGEST_BUCKET_NS)
     span_ns = min(span_for(rate_hz, bytes_per_sec), UNKNOWN_SPAN_NS)
-    return Lengths(bucket_ns, span_ns, nbytes > CHUNK_BYTES * messages)
+    return Lengths(bucket_ns, span_ns, nbytes > LARGE_MESSAGE_CHUNK_BYTES * messages)
 
 
 def starts_with_header(definition_text: str) -> bool:

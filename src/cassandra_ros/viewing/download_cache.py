@@ -38,7 +38,7 @@ _ORPHAN_SEC = 60.0
 """Age above which an unlocked folder of another viewer is removed, s."""
 _PATIENCE_SEC = 2.0
 """Maximum time that the end waits for files that are being written, s."""
-_CHUNK_BYTES = 1 << 18
+_FILE_READ_BYTES = 1 << 18
 """Size of the chunks in which a file is read while it is written, bytes."""
 
 
@@ -118,7 +118,7 @@ class Lease:
             while not gone.is_set():
                 done = entry.done.is_set()  # checked first: bytes read after it are complete
                 stream = stream or _open_any(entry.path)
-                chunk = stream.read(_CHUNK_BYTES) if stream is not None else b""
+                chunk = stream.read(_FILE_READ_BYTES) if stream is not None else b""
                 if chunk:
                     yield chunk
                 elif done and entry.error is not None:

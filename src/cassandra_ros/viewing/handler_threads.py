@@ -34,7 +34,8 @@ _POLL_SEC = 0.01
 """Interval at which the end checks for running handlers, s."""
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
-_CHUNK_BYTES = 1 << 18
+_ANSWER_READ_BYTES = 1 << 18
+"""Number of bytes of a file that are read at once while it is sent."""
 
 
 class HandlerThreads:
@@ -287,7 +288,7 @@ async def _send_part(response: web.StreamResponse, stream: IO[bytes], offsets: r
     remaining = len(offsets)
     await loop.run_in_executor(None, stream.seek, offsets.start)
     while remaining:
-        chunk = await loop.run_in_executor(None, stream.read, min(remaining, _CHUNK_BYTES))
+        chunk = await loop.run_in_executor(None, stream.read, min(remaining, _ANSWER_READ_BYTES))
         if not chunk:
             raise ConnectionResetError("the file has become shorter")
         remaining -= len(chunk)

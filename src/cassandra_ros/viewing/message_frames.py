@@ -34,8 +34,8 @@ from cassandra_ros.viewing.answers import Json
 
 CONTENT_TYPE = "application/x-cassandra-ros-frames"
 CONTROL = 0
-CHUNK_BYTES = 256 * 1024
-"""Maximum size of a chunk of the stream, bytes; larger messages are sent in several chunks."""
+STREAM_CHUNK_BYTES = 256 * 1024
+"""Maximum size of a chunk of the stream of frames, bytes; a larger message is sent in several."""
 _HEAD = struct.Struct("<IIq")
 _EXACT = 2**53
 """Maximum integer up to which JavaScript's numbers are exact."""
@@ -48,7 +48,7 @@ def frames(
 ) -> Iterator[bytes]:
     """Encode messages as chunks of a stream of frames.
 
-    Memory: one message and CHUNK_BYTES.
+    Memory: one message and STREAM_CHUNK_BYTES.
 
     Args:
         rows: The messages, in the order of sending.
@@ -63,10 +63,10 @@ def frames(
     waiting, sent, cursor = bytearray(), 0, None
     for row in rows:
         for data in _message(row, channels):
-            if waiting and len(waiting) + len(data) > CHUNK_BYTES:
+            if waiting and len(waiting) + len(data) > STREAM_CHUNK_BYTES:
                 yield bytes(waiting)
                 waiting.clear()
-            if len(data) > CHUNK_BYTES:
+            if len(data) > STREAM_CHUNK_BYTES:
                 yield from _pieces(data)
             else:
                 waiting += data
@@ -96,8 +96,8 @@ def _message(row: StoredRow | FleetRow, channels: dict[str, int]) -> Iterator[by
 
 def _pieces(data: bytes) -> Iterator[bytes]:
     view = memoryview(data)
-    for at in range(0, len(data), CHUNK_BYTES):
-        yield bytes(view[at : at + CHUNK_BYTES])
+    for at in range(0, len(data), STREAM_CHUNK_BYTES):
+        yield bytes(view[at : at + STREAM_CHUNK_BYTES])
 
 
 def _control(key: str, value: Json, t: int = 0) -> bytes:

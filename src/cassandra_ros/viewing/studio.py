@@ -33,7 +33,8 @@ _MARKER = "complete.json"
 _ATTEMPTS = 4
 _PAUSE_SEC = 2.0
 _TIMEOUT_SEC = 60.0
-_CHUNK_BYTES = 1 << 20
+_DOWNLOAD_READ_BYTES = 1 << 20
+"""Number of bytes of a tarball that are read from the network at once."""
 _NEEDED_BYTES = 200 << 20
 """Free space needed for the largest tarball and all unpacked files, bytes."""
 _MAX_FILE_BYTES = 64 << 20
@@ -191,7 +192,7 @@ def _download(url: str, file: IO[bytes], size: int) -> str:
     digest, got = hashlib.sha512(), 0
     with urllib.request.urlopen(url, timeout=_TIMEOUT_SEC) as response:  # noqa: S310 - checked
         while True:
-            chunk = response.read(_CHUNK_BYTES)
+            chunk = response.read(_DOWNLOAD_READ_BYTES)
             if not chunk:
                 break
             got += len(chunk)

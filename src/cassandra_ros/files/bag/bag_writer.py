@@ -16,7 +16,7 @@ from cassandra_ros.files.bag import format as bagformat
 from cassandra_ros.files.bag.file_writer import FileWriter
 from cassandra_ros.keys import SECOND_NS
 
-CHUNK_BYTES = 768 * 1024
+BAG_CHUNK_BYTES = 768 * 1024
 """Size of a chunk's content above which the chunk is closed, bytes; the default of rosbag."""
 _ENTRY = Struct("<III")
 _SPOOL_BYTES = 1 << 20
@@ -38,7 +38,7 @@ class BagWriter(FileWriter):
         self,
         path: str | os.PathLike[str],
         compression: str = "none",
-        chunk_bytes: int = CHUNK_BYTES,
+        chunk_bytes: int = BAG_CHUNK_BYTES,
     ) -> None:
         if compression not in bagformat.COMPRESSIONS:
             names = ", ".join(bagformat.COMPRESSIONS)

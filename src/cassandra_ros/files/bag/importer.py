@@ -46,7 +46,7 @@ from cassandra_ros.store.rows.writer import WriteStats
 from cassandra_ros.store.tables.directory import CLOCKS_SEC, Lengths, bucket_for, span_for
 from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.store.tables.registry import Run
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import (
@@ -576,7 +576,9 @@ class _Rate:
         per = max(self.connections, 1)
         bucket_ns = bucket_for(self.peak_hz, self.peak_bytes)
         span_ns = span_for(self.peak_hz / per, self.peak_bytes / per)
-        return Lengths(bucket_ns, span_ns, self.peak_bytes > CHUNK_BYTES * self.peak_hz)
+        return Lengths(
+            bucket_ns, span_ns, self.peak_bytes > LARGE_MESSAGE_CHUNK_BYTES * self.peak_hz
+        )
 
     def finish(self, start_ns: int, last: bool = False) -> None:
         """End a window. The last window, which may be short, counts only if it is the only one."""

@@ -16,7 +16,7 @@ from cassandra_ros.files.bag.file_writer import FileWriter
 from cassandra_ros.files.bag.mcap_channel import NUMBER, to_channel
 from cassandra_ros.store.tables.event_table import Event
 
-CHUNK_BYTES = 1 << 20
+MCAP_CHUNK_BYTES = 1 << 20
 """Size of a chunk's content above which the chunk is closed, bytes; the default of mcap."""
 _MAX_CHANNELS = 2**16 - 1
 _COMPRESSIONS = {
@@ -56,7 +56,7 @@ class McapWriter(FileWriter):
         self,
         path: str | os.PathLike[str],
         compression: str = "zstd",
-        chunk_bytes: int = CHUNK_BYTES,
+        chunk_bytes: int = MCAP_CHUNK_BYTES,
     ) -> None:
         if compression not in _COMPRESSIONS:
             names = ", ".join(_COMPRESSIONS)

@@ -25,7 +25,7 @@ from cassandra_ros.metadata import Kind
 from cassandra_ros.store.blocks.block_builder import ALONE_BYTES
 from cassandra_ros.store.blocks.codec import pack_block
 from cassandra_ros.store.tables.directory import MAX_BYTES, MAX_MESSAGES
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES, INLINE_COLUMN_BYTES
+from cassandra_ros.store.tables.row_table import INLINE_COLUMN_BYTES, LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_writer import connection_kind
 from cassandra_ros.topics.stored_totals import TopicInfo
@@ -241,7 +241,7 @@ def _compressed_size(data: bytes, piece: int) -> int:
 def _rows(encoder: CassandraTopic_, sample: TopicSample) -> Iterable[tuple[bytes, int]]:
     for n, (t_ns, wire) in enumerate(sample.wires):
         columns, _, raw = encoder.encode_wire(wire)
-        chunked = len(wire) > CHUNK_BYTES
+        chunked = len(wire) > LARGE_MESSAGE_CHUNK_BYTES
         values = [*columns, None if chunked else raw]
         most = INLINE_COLUMN_BYTES if chunked else max(len(v or b"") for v in values)
         yield (
@@ -268,7 +268,7 @@ def _blocks(
         times = [t_ns for t_ns, _ in sample.wires[at:stop]]
         wires = [wire for _, wire in sample.wires[at:stop]]
         zones = encoder.zones(wires)[0]
-        if len(wires[0]) > CHUNK_BYTES:
+        if len(wires[0]) > LARGE_MESSAGE_CHUNK_BYTES:
             data, rest = b"", wires[0]
         else:
             data, rest = pack_block(sorted(times), list(range(at, stop)), wires, None), b""

@@ -246,10 +246,11 @@ MAX_QUERIES = 8
 FEW_VALUES = 4
 """Maximum number of values of an IN condition that are sent as they are. Longer lists are sent as
 their range."""
-FEW_SHARE = 0.02
-"""Largest share of a bucket's rows that is fetched by key after filtering. Above it the server
-returns whole rows."""
-FEW_ROWS = 20
+SPARSE_BUCKET_SHARE = 0.02
+"""Share of hits among a bucket's rows above which hits of later buckets are not fetched by key: the
+server returns whole rows."""
+SPARSE_BUCKET_ROWS = 20
+"""Number of hits in a bucket up to which later ones are fetched by key, whatever their share."""
 DENSE_SHARE = 0.05
 """Share of a bucket's rows above which filtering is faster than an index, which reads row by
 row."""
@@ -384,7 +385,7 @@ class Pushdown:
             self._passed[table] = passed
             if opened > DENSE_ROWS and opened > ZONES_SHARE * passed:
                 self._idle.add(table)
-        if hits > FEW_ROWS and hits > FEW_SHARE * every:
+        if hits > SPARSE_BUCKET_ROWS and hits > SPARSE_BUCKET_SHARE * every:
             self._many.add(table)
         if hits > DENSE_ROWS and hits > DENSE_SHARE * every:
             self._dense.add(table)

@@ -22,7 +22,7 @@ import numpy as np
 from cassandra_ros.store.blocks.codec import Longs, pack_block
 from cassandra_ros.store.tables.checksum import crc32
 from cassandra_ros.store.tables.directory import MAX_BYTES, MAX_MESSAGES
-from cassandra_ros.store.tables.row_table import CHUNK_BYTES, RowTable
+from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES, RowTable
 
 MIN_BYTES = 16 * 1024
 ALL_BYTES = 64 * 1024 * 1024
@@ -94,7 +94,7 @@ class NewBlock(NamedTuple):
     @property
     def in_chunks(self) -> bool:
         """Whether the block is one message that is too large for a row."""
-        return len(self.wires[0]) > CHUNK_BYTES
+        return len(self.wires[0]) > LARGE_MESSAGE_CHUNK_BYTES
 
     def rewriters(self) -> list[Callable[[], object] | None]:
         """Return for each message a function that writes it again.
@@ -124,7 +124,7 @@ def make_block(
         wires = [wires[n] for n in order]
         received = None if received is None else [received[n] for n in order]
     zones, nan, odd = table.encoder.zones(wires)
-    if len(wires[0]) <= CHUNK_BYTES:
+    if len(wires[0]) <= LARGE_MESSAGE_CHUNK_BYTES:
         data = pack_block(times, seqs, wires, received)
         crc = crc32(data)
     else:

@@ -271,7 +271,7 @@ MAX_AT_ONCE = 100
 FIRST_HEADERS = 16
 """Number of headers in the first page of a read of few messages; later pages are larger."""
 MAX_HEADERS = 5000
-FEW_ROWS = 8
+MIN_BLOCK_ROWS = 8
 """Minimum number of rows that are made of a block in a read of few messages."""
 
 _Item = Union[BlockRow, OpenedBlock]
@@ -419,7 +419,9 @@ class BlockQueue:
         for block in batch.blocks():
             head = block
             if batch.wanted and block.block is not None:
-                head = block.split_off(max(FEW_ROWS, batch.wanted), reverse=self._bucket.reverse)
+                head = block.split_off(
+                    max(MIN_BLOCK_ROWS, batch.wanted), reverse=self._bucket.reverse
+                )
                 if block.left:
                     self._add(block)
             yield self._bucket.rows(head)

@@ -323,8 +323,8 @@ this size."""
 MIN_PLANES = 16
 """Minimum number of messages of one size that are stored as planes. Fewer are stored plain, because
 planes would only tear texts apart."""
-FEW_SHARE = 64
-"""A read of less than one in FEW_SHARE messages of a block cuts each one out by itself."""
+SINGLE_CUT_RATIO = 64
+"""Ratio of a block's messages to the read ones above which each is cut out by itself."""
 LONG = 512
 """Minimum size of messages that may be coded as words, bytes."""
 _RECEIVED, _WORDS, _LAYOUTS, _STORED = 1, 2, 4, 8
@@ -433,7 +433,7 @@ class Unpacked:
         if positions is None and size >= LONG and size in self._as_rows and len(self.groups) == 1:
             return [bytes(self._body[at : at + size]) for at in range(0, len(self._body), size)]
         turned = "_turned_bytes" in self.__dict__
-        if positions is not None and not turned and FEW_SHARE * len(positions) < len(self):
+        if positions is not None and not turned and SINGLE_CUT_RATIO * len(positions) < len(self):
             return [self.wire(position) for position in positions.tolist()]
         every, starts = self._turned_bytes
         ends = starts + self.sizes

@@ -97,9 +97,9 @@ _FOUR = struct.pack(">i", 4)
 
 WIDE_ROW_BYTES = 64 * 1024
 """Average size of a row in bytes from which this module cuts the rows itself."""
-FEW_ROWS = 4
-"""Pages with at most this many rows are cut here too: starting the compiled parser would take as
-long."""
+PAGE_CUT_HERE_ROWS = 4
+"""Maximum number of rows of a page that is always cut into rows here: starting the compiled parser
+would take as long."""
 
 
 class RawPage(Sequence[RawRow]):
@@ -144,7 +144,7 @@ class RawPage(Sequence[RawRow]):
 
     def _every(self) -> Sequence[RawRow]:
         if self._cut is not None:
-            here = self._count <= FEW_ROWS or self._wide
+            here = self._count <= PAGE_CUT_HERE_ROWS or self._wide
             self._rows = self._cut_here() if here else self._cut()
             self.body, self._cut = b"", None  # or the rows would be in memory twice
         return self._rows

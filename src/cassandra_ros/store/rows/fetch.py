@@ -37,7 +37,7 @@ AHEAD = 16
 KEY_PAGE_ROWS = 5000
 _PAGE_CHUNKS = 8
 VERSION_PAGE_ROWS = 16
-FEW_ROWS = 1000
+ONE_QUERY_KEYS = 1000
 """Maximum number of keys that are fetched by one query over the whole table and sorted here."""
 
 
@@ -362,7 +362,7 @@ def keys_by_shadow(
     def keys(rows: Iterable[RawRow]) -> list[RowKey]:
         return [_row_key(table, values) for values in rows]
 
-    request = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), FEW_ROWS))
+    request = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), ONE_QUERY_KEYS))
     row_keys = keys(request.page())
     if not request.more:
         row_keys = [key for key in row_keys if nodes is None or key.position.node in nodes]

@@ -77,7 +77,7 @@ KEYED_SHARE = 0.04
 returns whole rows."""
 TURNED_PAGES = 2
 """Maximum number of pages of an index that are held in memory to reverse their order."""
-FEW_ROWS = 5000
+SMALL_FIRST_PAGE_ROWS = 5000
 """Maximum number of wanted rows for which the first pages are smaller than whole ones."""
 MOST_FIRST = 8
 """Maximum number of buckets requested before the directory has answered. If a read begins in more
@@ -93,7 +93,7 @@ Queries = Optional[Sequence[Query]]
 
 def _takes_few(read: Read) -> bool:
     """Return whether probably less than a page of rows will be taken."""
-    return read.wanted is not None and read.wanted <= FEW_ROWS
+    return read.wanted is not None and read.wanted <= SMALL_FIRST_PAGE_ROWS
 
 
 def _first_and_last(read: Read, table: RowTable) -> tuple[int, int]:

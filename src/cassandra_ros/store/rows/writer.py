@@ -45,8 +45,8 @@ from cassandra_ros.store.rows.row_counts import recount
 from cassandra_ros.store.tables.checksum import crc32
 from cassandra_ros.store.tables.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.tables.row_table import (
-    CHUNK_BYTES,
     INLINE_COLUMN_BYTES,
+    LARGE_MESSAGE_CHUNK_BYTES,
     ODD,
     UNSET,
     NewRow,
@@ -509,7 +509,7 @@ class RowWriter:
                     bucket = self._name_bucket(table, node, row.name)
                 else:
                     bucket = self._bucket(table, node, row.t // table.bucket_ns)
-                if len(row.wire) > CHUNK_BYTES:
+                if len(row.wire) > LARGE_MESSAGE_CHUNK_BYTES:
                     self._send_large(bucket, row, again)
                     return
                 bucket.add(row, again)
@@ -642,12 +642,14 @@ class RowWriter:
         statement = table.insert_chunk()  # may fail, so it comes before anything is counted
         # Here and not when the row is made: then its bytes would have left the processor's cache.
         crc = new.crc if isinstance(new, NewBlock) else crc32(new.wire)
-        chunks, count = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
+        chunks, count = Chunks(-(-len(new.wire) // LARGE_MESSAGE_CHUNK_BYTES), crc), 0
         outcome, wire = self._chunk_outcome(bucket, new, again, chunks), memoryview(new.wire)
         bucket.begin_request()
         try:
             for number in range(chunks.number):
-                data = wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
+                data = wire[
+                    number * LARGE_MESSAGE_CHUNK_BYTES : (number + 1) * LARGE_MESSAGE_CHUNK_BYTES
+                ]
                 bound = bind(statement, (*bucket.key(new.t, new.seq), encode_int(number), data))
                 count += 1  # submit calls outcome in any case
                 self._flight.submit(bound, len(data), outcome)
