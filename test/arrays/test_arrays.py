@@ -358,7 +358,7 @@ LENGTHS = ([4] * 6, [0] * 6, [4], [4, 4, 4, 3, 3, 3], [3, 4] * 3, [])
 @pytest.mark.parametrize("batch", [3, 4096])
 def test_arrays_of_one_length_have_two_dimensions(fmt, batch, monkeypatch):
     """However many messages are read together: what counts is all that are returned."""
-    monkeypatch.setattr(table_values, "BATCH_ROWS", batch)
+    monkeypatch.setattr(table_values, "DECODED_BATCH_ROWS", batch)
     definition = parse_definition("pkg/Scan", "float32[] ranges\nstring[] names", None)
     make, table = message_class(definition), Table(definition, fmt)
     for lengths in LENGTHS:
@@ -491,7 +491,7 @@ class Many:
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
 def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     """An int or float takes 24 bytes, and 8 more in a list; here it is its own 4 or 8."""
-    monkeypatch.setattr(table_values, "BATCH_ROWS", 200)
+    monkeypatch.setattr(table_values, "DECODED_BATCH_ROWS", 200)
     count = 60_000
     table = Table(INT64, fmt)
     topic = Topic("/topic", [table])
@@ -509,7 +509,7 @@ def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     margin = count * 32 // 2
     assert kept < count * size + margin
     # Beside the result: one column twice while it is joined, and a batch.
-    batch = table_values.BATCH_ROWS * 1500
+    batch = table_values.DECODED_BATCH_ROWS * 1500
     assert peak < count * (size + 8) + batch + margin, (peak / count, batch / count)
 
 
@@ -523,5 +523,5 @@ def test_batches_are_bounded_in_bytes(monkeypatch):
     wire = struct.pack("<I", 2**20) + bytes(2**20)
     found = gather([Row(table, wire[: 4 + 2**20]) for _ in range(20)], ["data"])
     assert len(found["data"]) == 20
-    assert max(sizes) <= table_values.BATCH_BYTES + 2**20
+    assert max(sizes) <= table_values.DECODED_BATCH_BYTES + 2**20
     assert len([size for size in sizes if size]) == 3

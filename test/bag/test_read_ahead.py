@@ -38,7 +38,7 @@ def test_an_error_of_the_reader_is_raised_after_all_earlier_batches():
 
 
 def test_no_more_is_read_ahead_than_is_allowed(monkeypatch):
-    monkeypatch.setattr(importer, "AHEAD_BYTES", 1000)
+    monkeypatch.setattr(importer, "BATCHES_AHEAD_BYTES", 1000)
     read = SimpleQueue()
 
     def endless():

@@ -433,7 +433,7 @@ def texts(bag, **wanted):
 @pytest.mark.parametrize("held", [None, 0, 5000])
 def test_equal_times_come_in_the_order_of_rosbag(fresh, tmp_path, monkeypatch, held):
     if held is not None:  # more messages of one time than are held at once
-        monkeypatch.setattr(stored_bag, "HELD_BYTES", held)
+        monkeypatch.setattr(stored_bag, "SORTED_BYTES", held)
     path = tmp_path / "equal.bag"
     bag_of_equal_times(path)
     with fresh() as store:

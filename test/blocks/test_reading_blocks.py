@@ -215,7 +215,7 @@ def test_blocks_read_as_a_sorted_list(stored, found, rand):
         patch.setattr(reader, "PAGE_BYTES", rand.choice((1, 40, 10**6)))
         patch.setattr(streams, "BLOCK_BYTES", rand.choice((1, 20, 2**18)))
         patch.setattr(streams, "FIRST_HEADERS", rand.choice((1, 2, 64)))
-        patch.setattr(streams, "MAX_AT_ONCE", rand.choice((1, 3, 100)))
+        patch.setattr(streams, "KEYED_BLOCKS_AT_ONCE", rand.choice((1, 3, 100)))
         patch.setattr(streams, "MIN_BLOCK_ROWS", rand.choice((1, 8)))
         patch.setattr(listing, "FEW_BUCKETS", rand.choice((1, 2, 8)))
         patch.setattr(listing, "FEW_SLOTS", rand.choice((1, 2, 64)))

@@ -22,7 +22,11 @@ from nodes.children import Child, await_true, start_client, start_node
 from std_msgs.msg import Float64
 from suites import CAMPAIGN
 
-from cassandra_ros.client.sql.statement_processes import AT_ONCE, Statement, StatementProcesses
+from cassandra_ros.client.sql.statement_processes import (
+    STATEMENTS_AT_ONCE,
+    Statement,
+    StatementProcesses,
+)
 from cassandra_ros.read import EVERYBODY
 from cassandra_ros.viewing.viewer_settings import DEFAULT_THREADS
 
@@ -110,13 +114,13 @@ def test_statements_that_wait_hold_no_other_request_and_no_end(viewer):
             )
             for _ in range(DEFAULT_THREADS + 4)
         ]
-        await_true(lambda: len(processes_of(viewer.child)) == AT_ONCE)
+        await_true(lambda: len(processes_of(viewer.child)) == STATEMENTS_AT_ONCE)
         for path in ("/api/keyspace", "/api/topics", "/api/runs"):
             assert viewer.get(path)[0] == 200
         query = viewer.get("/api/query", q="SELECT data FROM /volt LIMIT 1")
         assert query[1]["rows"] == [[0.0]]
         running = processes_of(viewer.child)
-        assert len(running) == AT_ONCE  # no statement has ended meanwhile
+        assert len(running) == STATEMENTS_AT_ONCE  # no statement has ended meanwhile
         assert viewer.child.end(signal.SIGINT) == 0, viewer.child.output
         await_true(lambda: not any(Path(f"/proc/{pid}").exists() for pid in running))
         assert len(asking) > DEFAULT_THREADS

@@ -161,7 +161,7 @@ def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatc
 def test_bytes_on_their_way_are_bounded(far, proxy):
     """A request that would exceed the maximum waits until others are answered."""
     cql = f"INSERT INTO {far.keyspace}.cr_definition (md5sum, hash, text) VALUES (?, ?, ?)"
-    statement, size = far.cassandra.prepare(cql), in_flight.MAX_BYTES // 2 + 1
+    statement, size = far.cassandra.prepare(cql), in_flight.MAX_SENT_BYTES // 2 + 1
     first = proxy.catch(lambda f: f.opcode == EXECUTE and b"the first" in f.body, failed=False)
     first.hold()
     requests, outcomes = in_flight.Flight(far.cassandra.send_raw), []

@@ -26,8 +26,8 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.connection.cassandra import Cassandra
-from cassandra_ros.store.connection.requests import MAX_BYTES, Flight
-from cassandra_ros.store.rows.writer import HELD_BYTES
+from cassandra_ros.store.connection.requests import MAX_SENT_BYTES, Flight
+from cassandra_ros.store.rows.writer import BATCHED_LARGE_BYTES
 from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -137,14 +137,19 @@ def test_rows_of_large_messages_share_a_request(rosCas, monkeypatch, format_name
 def test_rows_of_large_messages_do_not_wait_for_ever(rosCas):
     messages = [
         messageOf(LARGE_MESSAGE_CHUNK_BYTES + 1)
-        for _ in range(2 * HELD_BYTES // LARGE_MESSAGE_CHUNK_BYTES)
+        for _ in range(2 * BATCHED_LARGE_BYTES // LARGE_MESSAGE_CHUNK_BYTES)
     ]
     with rosCas.messageWriter(format="binary", linger_sec=3600) as writer:
         handle, topic = connect(writer), rosCas.getTopic("/big")
         for n, message in enumerate(messages):
             writer.write(handle, T0 + n, n, serialize(message))
-            assert writer.pending_bytes <= HELD_BYTES + MAX_BYTES + 2 * LARGE_MESSAGE_CHUNK_BYTES
-        await_true(lambda: topic.countTopicData() >= HELD_BYTES // LARGE_MESSAGE_CHUNK_BYTES)
+            assert (
+                writer.pending_bytes
+                <= BATCHED_LARGE_BYTES + MAX_SENT_BYTES + 2 * LARGE_MESSAGE_CHUNK_BYTES
+            )
+        await_true(
+            lambda: topic.countTopicData() >= BATCHED_LARGE_BYTES // LARGE_MESSAGE_CHUNK_BYTES
+        )
         writer._rows._linger_sec = 0.0
         await_true(lambda: topic.countTopicData() == len(messages))
 

@@ -271,7 +271,7 @@ def test_small_reads_give_what_a_plain_list_gives(fresh, data, entries, unit):
     with pytest.MonkeyPatch.context() as patch, fresh() as rosCas:
         for module, name, values in (
             (listing, "FEW_BUCKETS", (1, 2, 8)), (listing, "FEW_SLOTS", (1, 2, 64)),
-            (reader, "PAGE_BYTES", (100, 10**6)), (reader, "AHEAD", (1, 16)),
+            (reader, "PAGE_BYTES", (100, 10**6)), (reader, "FILTERED_BUCKETS_AHEAD", (1, 16)),
         ):  # fmt: skip
             patch.setattr(module, name, data.draw(st.sampled_from(values), name))
         entries = [(T0 + t * unit, node, second) for t, node, second in entries]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.topics.stored_row import AHEAD_BYTES, AHEAD_ROWS, chunks_ahead
+from cassandra_ros.topics.stored_row import AHEAD_ROWS, LARGE_AHEAD_BYTES, chunks_ahead
 
 MB = 10**6
 
@@ -47,7 +47,7 @@ def test_order_and_bounds(sizes, reads, rand):
         ahead = taken[number + 1 :]
         assert len(ahead) <= AHEAD_ROWS
         # Within the budget, but for the one that reaches it.
-        assert sum(r.size for r in ahead[:-1] if r.asked) <= AHEAD_BYTES
+        assert sum(r.size for r in ahead[:-1] if r.asked) <= LARGE_AHEAD_BYTES
         row.was_read = reads == "all" or (reads == "some" and rand.random() < 0.8)
     assert len(taken) == len(rows)
     if reads == "none":

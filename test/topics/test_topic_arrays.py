@@ -145,7 +145,7 @@ def test_stretches_nodes_and_conditions(rosCas):
 @pytest.mark.parametrize("fmt", ["packed", "ros", "binary"])
 def test_lengths_of_arrays_of_all_that_is_read(rosCas, monkeypatch, fmt):
     """Two dimensions where all that is returned has one length, in however many batches."""
-    monkeypatch.setattr(table_values, "BATCH_ROWS", 16)
+    monkeypatch.setattr(table_values, "DECODED_BATCH_ROWS", 16)
     monkeypatch.setattr(table_values, "BATCH_MESSAGES", 16)
     definition = parse_definition("pkg/Scan", "float32[] ranges\nfloat32[] intensities", None)
     scans = [message_class(definition)(ranges=[n] * (4 + n // 40)) for n in range(60)]

@@ -197,7 +197,7 @@ def test_it_means_the_same_in_every_format(rosCas, fmt):
 
 @every_key
 def test_removal_without_a_key(rosCas, monkeypatch, kind):
-    monkeypatch.setattr(removal, "ROWS_AT_ONCE", 7)
+    monkeypatch.setattr(removal, "REMOVED_ROWS_AT_ONCE", 7)
     topic = fill(rosCas, kind)
     every = plain(topic.items())
     assert sum(info.count for info in rosCas.info()) == 60

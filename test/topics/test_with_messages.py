@@ -13,7 +13,7 @@ from std_msgs.msg import Header, String
 
 from cassandra_ros.errors import ConnectionFailed, CorruptMessage, StoreUnavailable
 from cassandra_ros.messages.classes import deserialize, serialize
-from cassandra_ros.topics.stored_row import LARGE_BYTES, MAX_ROWS, with_messages
+from cassandra_ros.topics.stored_row import MADE_SINGLY_BYTES, MAX_ROWS, with_messages
 
 CLASSES = (Header, String)
 DAMAGED, CUT = "damaged", "cut"
@@ -27,7 +27,7 @@ class Row:
     def __init__(self, number, kind):
         self.kind = kind
         self.cls = CLASSES[kind == "other"]
-        text = f"{number}" + "x" * (LARGE_BYTES if kind == "large" else 0)
+        text = f"{number}" + "x" * (MADE_SINGLY_BYTES if kind == "large" else 0)
         self.sent = Header(seq=number, frame_id=text) if self.cls is Header else String(text)
         wire = serialize(self.sent)
         self._wire = wire[:-1] if kind == CUT else wire

@@ -14,7 +14,7 @@ from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Float64
 from viewers import running_viewer
 
-from cassandra_ros.client.sql.statement_processes import AT_ONCE, SqlAnswer
+from cassandra_ros.client.sql.statement_processes import STATEMENTS_AT_ONCE, SqlAnswer
 
 pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
@@ -167,7 +167,7 @@ def asking_without_end(viewer, begun):
 
 def test_a_client_that_leaves_ends_its_statement(viewer, begun):
     """Otherwise as many endless statements as may run at the same time would block all others."""
-    for _ in range(AT_ONCE):
+    for _ in range(STATEMENTS_AT_ONCE):
         with asking_without_end(viewer, begun):
             pass
     assert ask(viewer, "/api/query", "SELECT 1 AS one")["rows"] == [[1]]
@@ -178,9 +178,9 @@ def test_the_viewer_ends_while_statements_run(viewer, begun):
     before = sql_processes()
     with contextlib.ExitStack() as clients:
         with running_viewer(viewer.store) as other:
-            for _ in range(AT_ONCE):
+            for _ in range(STATEMENTS_AT_ONCE):
                 clients.enter_context(asking_without_end(other, begun))
-            assert len(sql_processes() - before) == AT_ONCE
+            assert len(sql_processes() - before) == STATEMENTS_AT_ONCE
     assert sql_processes() <= before
 
 

@@ -30,7 +30,7 @@ from rospy.topics import _PublisherImpl, _TopicImpl
 
 from cassandra_ros.errors import TypeMismatch
 
-BATCH_BYTES = 256 * 1024
+SEND_BATCH_BYTES = 256 * 1024
 """Maximum size of small queued messages that are sent together, bytes."""
 PIECE_BYTES = 8 * 1024 * 1024
 """Size of the pieces in which large messages are sent, bytes; each piece shows progress."""
@@ -172,13 +172,13 @@ class _Link:
         if self._rest is not None:
             rest, self._rest = self._rest, None
             return [rest], 0
-        if len(self._queue[0]) > BATCH_BYTES:
+        if len(self._queue[0]) > SEND_BATCH_BYTES:
             wire = self._queue.popleft()
             # Length and first piece together: the four bytes alone would be a packet of their own.
             return [_length(len(wire)) + wire[:1024], memoryview(wire)[1024:]], 1
         taken: list[bytes] = []
         nbytes = 0
-        while self._queue and nbytes + len(self._queue[0]) <= BATCH_BYTES:
+        while self._queue and nbytes + len(self._queue[0]) <= SEND_BATCH_BYTES:
             wire = self._queue.popleft()
             taken += [_length(len(wire)), wire]
             nbytes += len(wire)

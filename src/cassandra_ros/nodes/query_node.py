@@ -16,7 +16,11 @@ import rospy
 from cassandra_ros.arguments import check_new_node, check_seconds
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.client.sql.python_values import printable_value
-from cassandra_ros.client.sql.statement_processes import MOST_SEC, Statement, StatementProcesses
+from cassandra_ros.client.sql.statement_processes import (
+    STATEMENT_SEC,
+    Statement,
+    StatementProcesses,
+)
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
@@ -325,7 +329,7 @@ class QueryServices:
         whose = self.ros_cas.catalog.whose(node, run)
         keyspace = self.ros_cas.catalog.keyspace.name
         statement = Statement(keyspace, request.statement, whose, tuple(request.params))
-        seconds = check_seconds("timeout", request.timeout) or MOST_SEC
+        seconds = check_seconds("timeout", request.timeout) or STATEMENT_SEC
         limit = request.limit or DEFAULT_LIMIT
         with self._statements.answer(statement, _until_shutdown, seconds) as answer:
             response = SqlResponse(success=True, columns=[clean(c) for c in answer.columns])

@@ -31,7 +31,7 @@ REFILL_BYTES = 1024 * 1024
 
 It is small because reading many messages at once would delay publishing.
 """
-LARGE_BYTES = 256 * 1024
+LARGE_MESSAGE_BYTES = 256 * 1024
 """Size from which a message is large, bytes."""
 LARGE_SEC = 0.004
 """Pause of the reading thread after a large message while another one is being sent, s."""
@@ -204,7 +204,7 @@ class ReadAhead:
                 self._room.clear()
         if self._full and not self._closed.is_set():  # ``close`` may have come before ``clear``
             self._room.wait()
-            if size >= LARGE_BYTES:
+            if size >= LARGE_MESSAGE_BYTES:
                 # The message taken to make room is being sent: leave the processor to it.
                 self._closed.wait(LARGE_SEC)
         return not self._closed.is_set()

@@ -47,9 +47,9 @@ from cassandra_ros.topics.run_finder import describe_runs
 
 _log = logging.getLogger(__name__)
 
-BATCH_ITEMS = 256
+WRITE_ROUND_MESSAGES = 256
 """Maximum number of messages that the writing thread takes at once."""
-BATCH_BYTES = 1024 * 1024
+WRITE_ROUND_BYTES = 1024 * 1024
 """Size of messages at which the writing thread stops taking more at once, bytes."""
 POLL_SEC = 0.05
 """Maximum time that the writing thread waits for a message, s."""
@@ -536,7 +536,9 @@ class Recording:
     def _lose_all(self, why: str) -> None:
         """Count all messages as lost: the run could not be opened."""
         while not self._buffer.ended:
-            for item in self._buffer.next_messages(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+            for item in self._buffer.next_messages(
+                WRITE_ROUND_MESSAGES, WRITE_ROUND_BYTES, POLL_SEC
+            ):
                 self._lose(item.source.topic, LossKind.AT_END, why, item.t)
                 self._buffer.release(item)
 
@@ -545,7 +547,9 @@ class Recording:
         if self._backlog is not None and self._waiting_bytes > self._most_waiting:
             time.sleep(POLL_SEC)  # the rest waits on disk
         else:
-            for item in self._queue.next_messages(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+            for item in self._queue.next_messages(
+                WRITE_ROUND_MESSAGES, WRITE_ROUND_BYTES, POLL_SEC
+            ):
                 self._route(item)
         while self._tables.decided:
             source = self._tables.decided.popleft()

@@ -23,7 +23,7 @@ from cassandra_ros.store.tables.registry import LossKind
 
 _log = logging.getLogger(__name__)
 
-MAX_AT_ONCE = 4
+SNAPSHOTS_AT_ONCE = 4
 """Maximum number of snapshots that are written at the same time."""
 PAUSE_SEC = 0.05
 """Time that ``close`` waits for a run that is being started, s."""
@@ -253,13 +253,13 @@ class Snapshots:
             The run, and the number of messages that were in memory for it.
 
         Raises:
-            InvalidOption: MAX_AT_ONCE snapshots are being written already.
+            InvalidOption: SNAPSHOTS_AT_ONCE snapshots are being written already.
         """
         writing, ends = _SnapshotRun(topics, after_sec > 0), time.monotonic() + after_sec
         with self._mutex:
-            if len(self._writing) >= MAX_AT_ONCE:
+            if len(self._writing) >= SNAPSHOTS_AT_ONCE:
                 raise InvalidOption(
-                    f"{MAX_AT_ONCE} snapshots are being written already: wait for one to end"
+                    f"{SNAPSHOTS_AT_ONCE} snapshots are being written already: wait for one to end"
                 )
             try:
                 self.ring.forget(self._clock())

@@ -20,7 +20,8 @@ from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 
-ROWS_AT_ONCE = 512
+REMOVED_ROWS_AT_ONCE = 512
+"""Number of rows of which the deletions are sent together."""
 
 _Partition = Tuple[TopicTable, str, Union[int, str]]
 """Table, node, and bucket or name."""
@@ -74,7 +75,7 @@ def _delete_blocks(space: Keyspace, partition: _Partition, read: Read) -> int:
     low, high = read.time_range
     rows = headers(table, node, int(where), low, high, read.whose.writers)
     deleted = 0
-    while some := list(islice(rows, ROWS_AT_ONCE)):
+    while some := list(islice(rows, REMOVED_ROWS_AT_ONCE)):
         space.schema.listing().check_staying(table.name)
         _mark_deleted(space.directory, table, node, int(where))
         cutter = BlockDeletion(space.cassandra, table, node, int(where))
@@ -88,7 +89,7 @@ def _delete_between(space: Keyspace, partition: _Partition, read: Read) -> int:
     rows = scan_keys(table, node, int(bucket), *read.time_range)
     keys = ((t, seq, large) for t, seq, _, large, _ in rows if read.whose.wrote(seq))
     deleted = 0
-    while some := list(islice(keys, ROWS_AT_ONCE)):
+    while some := list(islice(keys, REMOVED_ROWS_AT_ONCE)):
         _delete_some(space, partition, some)
         deleted += len(some)
     return deleted
@@ -98,7 +99,7 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
     """Delete messages while they are found; return their number. Only some keys are in memory."""
     deleted = 0
     rows = iter(rows)
-    while some := list(islice(rows, ROWS_AT_ONCE)):
+    while some := list(islice(rows, REMOVED_ROWS_AT_ONCE)):
         groups: dict[_Partition, list[StoredRow]] = {}
         for row in some:
             groups.setdefault(_partition_of(row), []).append(row)
@@ -137,7 +138,7 @@ def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us
             pending += 1
         elif mine[-1]:
             mine.append([])
-        if pending == ROWS_AT_ONCE:
+        if pending == REMOVED_ROWS_AT_ONCE:
             _delete_runs(space, runs, until_us)
             deleted, pending, runs = deleted + pending, 0, {}
     _delete_runs(space, runs, until_us)

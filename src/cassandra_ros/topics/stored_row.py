@@ -31,7 +31,7 @@ MessageIdentity = Tuple[int, str, int, str]
 """Key time (ns), node, seq and name of a message."""
 Key = Union[Stamp, RowName]
 """Key by which one stored message is found again: its time, or its name."""
-AHEAD_BYTES = 8 * 1024 * 1024
+LARGE_AHEAD_BYTES = 8 * 1024 * 1024
 """Approximate maximum number of bytes of large messages that are requested or wait here."""
 AHEAD_ROWS = 64
 """Maximum number of rows that wait here: rows of other sizes may be between the large ones."""
@@ -237,16 +237,16 @@ def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
             ahead_bytes -= nbytes
             yield first
             if first.chunked:
-                budget = min(AHEAD_BYTES, 2 * budget + first.size) if first.was_read else 0
+                budget = min(LARGE_AHEAD_BYTES, 2 * budget + first.size) if first.was_read else 0
     while waiting:
         yield waiting.popleft()[0]
 
 
 MAX_ROWS = 512
 """Maximum number of rows whose messages are made together; a read begins with fewer."""
-MAX_BYTES = 512 * 1024
+MADE_TOGETHER_BYTES = 512 * 1024
 """Maximum number of serialised bytes of messages that are made together."""
-LARGE_BYTES = 4 * 1024
+MADE_SINGLY_BYTES = 4 * 1024
 """Size in bytes above which messages are made one by one: copying their bytes would take as
 long."""
 
@@ -270,11 +270,15 @@ def with_messages(
     yield_count = nbytes = 0
     try:
         for row in rows:
-            large = row.chunked or row.size > LARGE_BYTES
+            large = row.chunked or row.size > MADE_SINGLY_BYTES
             if not large:
                 waiting.append(row)
                 nbytes += row.size
-            if large or len(waiting) >= min(MAX_ROWS, max(1, yield_count)) or nbytes >= MAX_BYTES:
+            if (
+                large
+                or len(waiting) >= min(MAX_ROWS, max(1, yield_count))
+                or nbytes >= MADE_TOGETHER_BYTES
+            ):
                 batch, waiting, nbytes = waiting, [], 0
                 yield_count += len(batch) + large
                 if batch:

@@ -21,7 +21,7 @@ from typing import IO, Callable, Iterator, TypeVar
 from aiohttp import ETag, web
 from aiohttp.typedefs import Handler
 
-from cassandra_ros.client.sql.statement_processes import AT_ONCE
+from cassandra_ros.client.sql.statement_processes import STATEMENTS_AT_ONCE
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
 from cassandra_ros.viewing.answers import Bytes, CachedFile, StreamedBody, json_bytes
 from cassandra_ros.viewing.api_call import ApiCall
@@ -48,7 +48,7 @@ class HandlerThreads:
     def __init__(self, shared: ViewerContext) -> None:
         self._shared = shared
         self._threads = ThreadPoolExecutor(shared.settings.threads, "viewer")
-        self._in_turn = ThreadPoolExecutor(AT_ONCE, "viewer-turn")
+        self._in_turn = ThreadPoolExecutor(STATEMENTS_AT_ONCE, "viewer-turn")
         """Threads of the calls that take turns, so that those which wait hold no other one."""
         self._calls: set[ApiCall] = set()
         self._held_bytes = 0

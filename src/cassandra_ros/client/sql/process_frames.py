@@ -14,7 +14,7 @@ from typing import Any, Mapping
 from cassandra_ros import errors
 from cassandra_ros.errors import CassandraRosError
 
-MAX_BYTES = 64 << 20
+MAX_FRAME_BYTES = 64 << 20
 """Maximum size of a frame, bytes."""
 HEAD = struct.Struct("<cI")
 

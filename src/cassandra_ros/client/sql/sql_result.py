@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 Source = Union[TopicSource, ListSource, FrameSource]
-BATCH_ROWS = 4096
+ANSWER_BATCH_ROWS = 4096
 """Number of rows of a batch of the answer."""
 _LOOK_SEC = 0.1
 """Interval at which a running statement looks whether it was cancelled, and at which one that was
@@ -102,7 +102,7 @@ class SqlResult:
     def batches(self) -> Iterator[pyarrow.RecordBatch]:
         """Yield the rows as record batches of pyarrow, while they are computed; at least one."""
         with self._open_run() as run:
-            reader = run.wait(lambda: run.relation.to_arrow_reader(BATCH_ROWS))
+            reader = run.wait(lambda: run.relation.to_arrow_reader(ANSWER_BATCH_ROWS))
             batch = run.wait(lambda: next(reader, None))
             if batch is None:
                 batch = self._arrow.RecordBatch.from_pylist([], schema=reader.schema)
@@ -141,7 +141,7 @@ class SqlResult:
         """
         with self._open_run() as run:
             plan = run.wait(run.relation.explain)
-            reader = run.wait(lambda: run.relation.to_arrow_reader(BATCH_ROWS))
+            reader = run.wait(lambda: run.relation.to_arrow_reader(ANSWER_BATCH_ROWS))
             returned = 0
             while True:
                 batch = run.wait(lambda: next(reader, None))

@@ -30,7 +30,7 @@ from cassandra_ros.client.sql.process_frames import (
     ERROR,
     FATAL,
     HEAD,
-    MAX_BYTES,
+    MAX_FRAME_BYTES,
     PLAN,
     STOP,
     STOPPED,
@@ -207,10 +207,10 @@ class _Answering:
         with arrow.ipc.new_stream(sink, batch.schema) as writer:
             writer.write_batch(batch)
         content = sink.getvalue()
-        if content.size > MAX_BYTES:
+        if content.size > MAX_FRAME_BYTES:
             raise AnswerTooLarge(
-                f"a row of the answer has {content.size} bytes, of at most {MAX_BYTES}: select "
-                "fewer columns, or a part of a long text or array"
+                f"a row of the answer has {content.size} bytes, of at most {MAX_FRAME_BYTES}: "
+                "select fewer columns, or a part of a long text or array"
             )
         yield frame(BATCH, content.to_pybytes())
 

@@ -29,7 +29,7 @@ from cassandra_ros.client.sql.process_frames import (
     HEAD,
     HELLO,
     LAST,
-    MAX_BYTES,
+    MAX_FRAME_BYTES,
     PLAN,
     STOP,
     error_of,
@@ -45,9 +45,9 @@ from cassandra_ros.store.connection.cassandra import Cassandra
 if TYPE_CHECKING:
     import pyarrow
 
-AT_ONCE = 2
+STATEMENTS_AT_ONCE = 2
 """Maximum number of statements that run at the same time; the others wait."""
-MOST_SEC = 60.0
+STATEMENT_SEC = 60.0
 """Maximum time of a statement, with its wait, s."""
 _STOP_SEC = 1.0
 """Time that a statement has to end by itself before its process is killed, s."""
@@ -116,7 +116,7 @@ class _Process:
         while kind not in LAST:
             self._await(HEAD.size, watch)
             kind, size = HEAD.unpack_from(self._received)
-            if size > MAX_BYTES:
+            if size > MAX_FRAME_BYTES:
                 raise _Ended
             self._await(HEAD.size + size, watch)
             content = bytes(self._received[HEAD.size : HEAD.size + size])
@@ -234,28 +234,28 @@ class StatementProcesses:
 
     def __init__(self, cassandra: Cassandra) -> None:
         self._store = cassandra.arguments()
-        self._turns = threading.BoundedSemaphore(AT_ONCE)
+        self._turns = threading.BoundedSemaphore(STATEMENTS_AT_ONCE)
         self._lock = threading.Lock()
         self._idle: list[_Process] = []
         self._closed = False
 
     @contextmanager
     def answer(
-        self, statement: Statement, watch: Watch, seconds: float = MOST_SEC
+        self, statement: Statement, watch: Watch, seconds: float = STATEMENT_SEC
     ) -> Iterator[SqlAnswer]:
         """Run a statement when it is its turn; what runs is stopped at the end of the context.
 
         Args:
             statement: The statement.
             watch: Called repeatedly meanwhile; an exception from it stops the statement.
-            seconds: Maximum time, with the wait, s; at most MOST_SEC.
+            seconds: Maximum time, with the wait, s; at most STATEMENT_SEC.
 
         Raises:
             InvalidQuery: The statement is wrong, or it ended its process.
             AnswerTooLarge: It needs more time, memory or room on disk than it may use.
             StoreUnavailable: No process can be started, or the program ends.
         """
-        watch = _watch_with_limit(watch, min(seconds, MOST_SEC))
+        watch = _watch_with_limit(watch, min(seconds, STATEMENT_SEC))
         while not self._turns.acquire(timeout=_LOOK_SEC):
             watch()
         try:
@@ -326,8 +326,8 @@ def _watch_with_limit(watch: Watch, seconds: float) -> Watch:
         watch()
         if time.monotonic() > ends:
             raise AnswerTooLarge(
-                f"the statement was stopped after {seconds:g} s, of at most {MOST_SEC:g} s: bound "
-                "what it reads by WHERE"
+                f"the statement was stopped after {seconds:g} s, of at most {STATEMENT_SEC:g} s: "
+                "bound what it reads by WHERE"
             )
 
     return look

@@ -326,7 +326,7 @@ _LAYOUTS = [_layout(order) for order in permutations((b"op", b"conn", b"time"))]
 """All orders of the three header fields; Python 2 wrote another order than the two above."""
 MIN_AT_ONCE = 16
 """Minimum number of messages that are read with numpy at once; fewer are read one by one."""
-MAX_AT_ONCE = 2**20
+NUMPY_MESSAGES_AT_ONCE = 2**20
 """Maximum number of messages that are read with numpy at once. Each needs some 100 bytes."""
 COUNTED_AT_ONCE = 1 << 12
 """Number of records that are counted at once."""
@@ -353,7 +353,7 @@ def find_messages(
     Raises:
         BagError: A record is damaged, or ``count`` refuses their number.
     """
-    if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
+    if offsets is not None and MIN_AT_ONCE <= len(offsets) <= NUMPY_MESSAGES_AT_ONCE:
         messages = _messages_at(content, where, offsets, count)
         if messages is not None:
             count(len(offsets))

@@ -60,7 +60,7 @@ from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.run_finder import describe_runs
 from cassandra_ros.topics.stored_totals import holds_any
 
-AHEAD_BYTES = 8 * 1024 * 1024
+BATCHES_AHEAD_BYTES = 8 * 1024 * 1024
 """Maximum size of the messages that wait for the caller, bytes. One batch may always wait."""
 
 
@@ -128,7 +128,7 @@ class BatchReadAhead:
         """Wait for room, then add a batch. Return False when the caller has left the context."""
         size = sum(map(len, batch.wires))
         with self._changed:
-            while self._read and self._held + size > AHEAD_BYTES and not self._stopped:
+            while self._read and self._held + size > BATCHES_AHEAD_BYTES and not self._stopped:
                 self._changed.wait()
             self._read.append((batch, size))
             self._held += size

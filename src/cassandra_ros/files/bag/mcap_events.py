@@ -24,7 +24,7 @@ from cassandra_ros.store.tables.event_table import Event
 
 NAME = "cassandra_ros.event"
 """Name of the metadata record of an event."""
-MAX_BYTES = 1 << 20
+MAX_EVENT_BYTES = 1 << 20
 """Maximum size of a record that is read as an event, bytes."""
 MAX_EVENTS = 100_000
 """Maximum number of events that are read of a file."""

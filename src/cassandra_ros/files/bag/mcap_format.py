@@ -31,8 +31,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.files.bag.format import (
     COUNTED_AT_ONCE,
-    MAX_AT_ONCE,
     MIN_AT_ONCE,
+    NUMPY_MESSAGES_AT_ONCE,
     CountRecords,
     Longs,
     uncounted,
@@ -368,7 +368,7 @@ def find_messages(
     Raises:
         BagError: A record is damaged, or ``count`` refuses their number.
     """
-    if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
+    if offsets is not None and MIN_AT_ONCE <= len(offsets) <= NUMPY_MESSAGES_AT_ONCE:
         indexed = _messages_at(content, where, offsets, count)
         if indexed is not None:
             count(len(offsets))

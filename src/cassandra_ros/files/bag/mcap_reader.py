@@ -337,7 +337,7 @@ class McapReader(MessageFile):
     def _note_event(self, record: McapRecord) -> bool:
         """Take a record of metadata if it is an event; return whether it is."""
         size, full = record.stop - record.start, len(self.events) >= mcap_events.MAX_EVENTS
-        if size > mcap_events.MAX_BYTES or full:
+        if size > mcap_events.MAX_EVENT_BYTES or full:
             return False
         try:
             metadata = mcapformat.parse(Metadata, self._bytes(record), self.path)

@@ -24,7 +24,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import Kind
 from cassandra_ros.store.blocks.block_builder import ALONE_BYTES
 from cassandra_ros.store.blocks.codec import pack_block
-from cassandra_ros.store.tables.directory import MAX_BYTES, MAX_MESSAGES
+from cassandra_ros.store.tables.directory import MAX_BLOCK_BYTES, MAX_MESSAGES
 from cassandra_ros.store.tables.row_table import INLINE_COLUMN_BYTES, LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_writer import connection_kind
@@ -262,7 +262,7 @@ def _blocks(
         stop, nbytes = at + 1, len(sample.wires[at][1])
         while stop < min(at + most, len(sample.wires)):
             nbytes += len(sample.wires[stop][1])
-            if nbytes > MAX_BYTES or len(sample.wires[stop][1]) > ALONE_BYTES:
+            if nbytes > MAX_BLOCK_BYTES or len(sample.wires[stop][1]) > ALONE_BYTES:
                 break
             stop += 1
         times = [t_ns for t_ns, _ in sample.wires[at:stop]]

@@ -50,7 +50,7 @@ from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.stored_row import StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import TopicInfo
 
-HELD_BYTES = 32 << 20
+SORTED_BYTES = 32 << 20
 """Maximum size of the messages of one receive time that are sorted in memory, bytes. If there are
 more, they are read again, once for each connection."""
 _ROW_BYTES = 1000
@@ -63,7 +63,7 @@ Read = Callable[["Time | None", "Time | None"], Iterator[StoredRow]]
 def in_bag_order(read: Read, start: Time | None, end: Time | None) -> Iterator[StoredRow]:
     """Yield the rows that ``read`` returns; rows of equal time are sorted by connection number.
 
-    Memory: the messages of one receive time, at most HELD_BYTES and one message. Above that limit
+    Memory: the messages of one receive time, at most SORTED_BYTES and one message. Above that limit
     the messages of this time are read again, once for each connection.
     """
     for t_ns, same in groupby(read(start, end), attrgetter("received")):
@@ -73,11 +73,11 @@ def in_bag_order(read: Read, start: Time | None, end: Time | None) -> Iterator[S
         for row in same:
             numbers.add(_number(row))
             held += row.size + _ROW_BYTES
-            if held <= HELD_BYTES:
+            if held <= SORTED_BYTES:
                 rows.append(row)
             else:
                 rows.clear()
-        if held <= HELD_BYTES:
+        if held <= SORTED_BYTES:
             yield from rows if len(numbers) == 1 else sorted(rows, key=_number)
             continue
         at = Stamp.from_ns(t_ns)

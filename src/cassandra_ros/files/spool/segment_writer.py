@@ -44,7 +44,7 @@ REPEAT_BYTES = 2 * 4096
 disk does not hit both."""
 TOTALS_SHARE = 8
 """Minimum size of what is written between two records of totals, in sizes of such a record."""
-LARGE_BYTES = 1 << 18
+UNCOPIED_PART_BYTES = 1 << 18
 """Size of a part from which it is not copied before it is written, bytes."""
 SpooledMessage = Tuple[Connection, int, int, bytes]
 """Connection, time of reception (ns), counter in its run, serialised message."""
@@ -172,7 +172,7 @@ class SegmentWriter:
     def _write(self, parts: Sequence[bytes]) -> None:
         written = 0
         # Joined, small parts are one request to the system; a large one would be copied.
-        pieces = parts if max(map(len, parts)) > LARGE_BYTES else [b"".join(parts)]
+        pieces = parts if max(map(len, parts)) > UNCOPIED_PART_BYTES else [b"".join(parts)]
         try:
             for piece in pieces:
                 rest = memoryview(piece)

@@ -124,7 +124,7 @@ def _decode(stored: ByteArray, rises: NDArray[np.bool_]) -> ByteArray:
 
 MIN_STACKED = 8
 """Minimum number of messages of one layout. Fewer are faster walked one by one, unless large."""
-LARGE_BYTES = 4096
+STACKED_ALONE_BYTES = 4096
 """Size from which a message is large, bytes: a single large message is treated as a stack too."""
 MAX_LAYOUTS_TRIED = 8
 """Maximum number of layouts tried for messages of one size."""
@@ -403,7 +403,7 @@ class Stacker:
             and may be malformed.
         """
         size, count = planes.shape
-        least = 1 if size >= LARGE_BYTES else MIN_STACKED
+        least = 1 if size >= STACKED_ALONE_BYTES else MIN_STACKED
         stacks: list[Stack] = []
         rest: list[Int64Array] = []
         indices: Int64Array = np.arange(count)

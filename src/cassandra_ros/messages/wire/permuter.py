@@ -32,7 +32,7 @@ from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MIN_ROWS = 8
 """Minimum number of messages of one layout that are permuted. Fewer are faster one by one."""
-MAX_BYTES = 2048
+MAX_PERMUTED_BYTES = 2048
 """Maximum size of a permuted message, bytes. A larger one is mostly an array, which is copied."""
 MAX_CACHED = 64
 """Maximum number of permutations cached for one type."""
@@ -181,7 +181,7 @@ class Permuter:
         if self._by_segment is not None:
             return self._by_segment.rows(wires)
         for members, planes in by_size(wires):
-            if len(members) < MIN_ROWS or len(planes) > MAX_BYTES:
+            if len(members) < MIN_ROWS or len(planes) > MAX_PERMUTED_BYTES:
                 continue
             for stack in self._stacker.stacks(planes, members)[0]:
                 permutation = self._permutation(stack)
@@ -236,7 +236,7 @@ class Permuter:
         for members in np.split(order, np.flatnonzero(changes) + 1):
             length = int(lengths[members[0]])
             # The rest of an expired row ends before its columns.
-            if len(members) >= MIN_ROWS and length > 0 and sizes[members[0]] <= MAX_BYTES:
+            if len(members) >= MIN_ROWS and length > 0 and sizes[members[0]] <= MAX_PERMUTED_BYTES:
                 self._build(data, starts, length, sizes, members, messages)
         return messages
 

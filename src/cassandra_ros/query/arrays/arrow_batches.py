@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-BATCH_ROWS = 16384
+ARROW_BATCH_MESSAGES = 16384
 """Maximum number of messages in a batch, but for those of one block."""
-BATCH_BYTES = 4 * 1024 * 1024
+ARROW_BATCH_BYTES = 4 * 1024 * 1024
 """Size of serialised messages from which a batch ends, bytes."""
 FEW_FIELDS = 8
 """Maximum number of fields that are read from each block by itself, if most are not read."""
@@ -275,7 +275,7 @@ def _of_blocks(
         batch.append(block)
         count += len(block.times)
         size += sum(planes.size for _, planes in block.groups)
-        if count >= BATCH_ROWS or size >= BATCH_BYTES:
+        if count >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
             yield maker.of_blocks(batch)
             batch, count, size = [], 0, 0
     if batch:
@@ -290,7 +290,7 @@ def _of_rows(
     for row in rows:
         watch()
         another = batch and row.table.name != batch[0].table.name
-        if another or len(batch) >= BATCH_ROWS or size >= BATCH_BYTES:
+        if another or len(batch) >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
             yield from maker.of_rows(batch)
             batch, size = [], 0
         batch.append(row)

@@ -47,8 +47,10 @@ from cassandra_ros.query.tree.syntax import Select
 
 _log = logging.getLogger(__name__)
 
-BATCH_ROWS = 4096
-BATCH_BYTES = 8 * 1024 * 1024
+DECODED_BATCH_ROWS = 4096
+"""Maximum number of rows that are decoded together."""
+DECODED_BATCH_BYTES = 8 * 1024 * 1024
+"""Size of the messages from which a batch of rows is decoded, bytes."""
 BLOCKS_BYTES = 2 * 1024 * 1024
 BATCH_MESSAGES = 16384
 """Maximum number of messages in a batch of blocks; large, so that messages of rare sizes meet."""
@@ -212,7 +214,7 @@ class TableValues:
             self._decoded += map(projection.complete, rows)
             self._numbers += [number] * len(rows)
             self._bytes += row.size
-        if len(self._numbers) >= BATCH_ROWS or self._bytes >= BATCH_BYTES:
+        if len(self._numbers) >= DECODED_BATCH_ROWS or self._bytes >= DECODED_BATCH_BYTES:
             self.flush()
 
     def add_block(self, block: MessageBlock) -> None:

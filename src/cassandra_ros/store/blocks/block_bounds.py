@@ -12,7 +12,7 @@ from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.requests import PagedRead, RawRow
 
 PAGE_BLOCKS = 5000
-AT_ONCE = 16
+BOUNDS_BLOCKS_AT_ONCE = 16
 """Maximum number of blocks that one statement fetches by their keys."""
 _WIDTH = HEADER.count(",") + 1
 
@@ -48,8 +48,8 @@ def open_blocks(
     bucket: BucketRead, headers: Sequence[BlockRow]
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
     """Fetch and unpack blocks with known headers; blocks deleted meanwhile are left out."""
-    for n in range(0, len(headers), AT_ONCE):
-        for row in bucket.blocks(bucket.fetch(headers[n : n + AT_ONCE]).page()):
+    for n in range(0, len(headers), BOUNDS_BLOCKS_AT_ONCE):
+        for row in bucket.blocks(bucket.fetch(headers[n : n + BOUNDS_BLOCKS_AT_ONCE]).page()):
             opened = bucket.open(row)
             if opened.left:
                 yield bucket, opened

@@ -50,7 +50,7 @@ BLOCK_BYTES = 256 * 1024
 """Assumed size of a block before the first page is read, bytes."""
 EARLY_BLOCKS = 2
 """Number of blocks read before their headers, if the number of overlapping writers is unknown."""
-MAX_BLOCKS = 512
+STREAM_PAGE_BLOCKS = 512
 """Maximum number of blocks in a page."""
 GROWTH = 4
 """Ratio between the sizes of two consecutive requests of a read of few messages."""
@@ -266,11 +266,12 @@ def key_of(values: RawRow) -> Order:
     return t, seq
 
 
-MAX_AT_ONCE = 100
+KEYED_BLOCKS_AT_ONCE = 100
 """Maximum number of blocks that one statement fetches by their keys."""
 FIRST_HEADERS = 16
 """Number of headers in the first page of a read of few messages; later pages are larger."""
-MAX_HEADERS = 5000
+STREAM_PAGE_HEADERS = 5000
+"""Maximum number of headers in a page."""
 MIN_BLOCK_ROWS = 8
 """Minimum number of rows that are made of a block in a read of few messages."""
 
@@ -283,7 +284,7 @@ class Headers:
 
     def __init__(self, bucket: BucketRead) -> None:
         self._bucket = bucket
-        self._count = FIRST_HEADERS if bucket.wanted else MAX_HEADERS
+        self._count = FIRST_HEADERS if bucket.wanted else STREAM_PAGE_HEADERS
         self._filters = bucket.filters
         if bucket.filters is not None:
             self._asked = self._ask_filters(bucket.filters)
@@ -304,7 +305,7 @@ class Headers:
 
     def _ask_filters(self, filters: Sequence[Terms]) -> list[PagedRead]:
         try:
-            return [self._bucket.ask(HEADER, MAX_HEADERS, terms=terms) for terms in filters]
+            return [self._bucket.ask(HEADER, STREAM_PAGE_HEADERS, terms=terms) for terms in filters]
         except SchemaConflict as exc:
             return self._ask_all(exc)
 
@@ -313,14 +314,14 @@ class Headers:
         topic = self._bucket.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
         self._filters = None
-        return [self._bucket.ask(HEADER, MAX_HEADERS)]
+        return [self._bucket.ask(HEADER, STREAM_PAGE_HEADERS)]
 
     def read(self) -> list[BlockRow]:
         """Read the next page of headers."""
         if self._filters is not None:
             return self._every()
         if not self._asked:
-            self._count = min(MAX_HEADERS, GROWTH * self._count)
+            self._count = min(STREAM_PAGE_HEADERS, GROWTH * self._count)
             self._asked = [self._bucket.ask(HEADER, self._count, self._behind)]
         request = self._asked.pop()
         page: Sequence[RawRow] = next((p for p in request.pages(ahead=False) if p), ())
@@ -448,7 +449,7 @@ class BlockQueue:
         first = self._known[0][0][0] if self._known else 0
         if not self._bucket.reverse:  # earlier blocks may hold the first message too
             first = max(first, self._bucket.ends[0][0])
-        while self._known and len(items) < MAX_AT_ONCE:
+        while self._known and len(items) < KEYED_BLOCKS_AT_ONCE:
             turn, _, item = self._known[0]
             if items and turn[0] > first and (size < item.size or count <= 0):
                 break
@@ -513,7 +514,8 @@ def downwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     yield from reversed(buffer.rest())
 
 
-ROWS_AT_ONCE = 200
+LONE_BLOCK_ROWS_AT_ONCE = 200
+"""Maximum number of rows that are made at once of a block that overlaps no other."""
 
 
 def stream(bucket: BucketRead) -> Iterator[TableRow]:
@@ -535,7 +537,7 @@ def opened(bucket: BucketRead) -> Iterator[OpenedBlock]:
 
 
 def _open_by_headers(bucket: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
-    count = max(1, min(MAX_AT_ONCE, bucket.page_bytes // BLOCK_BYTES))
+    count = max(1, min(KEYED_BLOCKS_AT_ONCE, bucket.page_bytes // BLOCK_BYTES))
     request: PagedRead | None = None
     while headers.more:
         rows = headers.read()
@@ -587,7 +589,7 @@ class _Pages:
                 return
             if blocks:
                 mean = sum(block.size for block in blocks) // len(blocks) + 1
-                most = min(MAX_BLOCKS, GROWTH * self._count)
+                most = min(STREAM_PAGE_BLOCKS, GROWTH * self._count)
                 self._count = max(1, min(most, self._bucket.page_bytes // mean))
             self._asked = self._bucket.ask(WHOLE, self._count, page[-1])
             yield blocks, key_of(page[-1])
@@ -603,7 +605,7 @@ def _whole(bucket: BucketRead, pages: _Pages) -> Iterator[TableRow]:
                 # The block overlaps no other. Its rows are made in small groups, because Python's
                 # collector walks through all rows that exist at the same time.
                 while opened.left:
-                    yield from bucket.rows(opened.split_off(ROWS_AT_ONCE, reverse=False))
+                    yield from bucket.rows(opened.split_off(LONE_BLOCK_ROWS_AT_ONCE, reverse=False))
                 continue
             buffer.add(bucket.rows(opened))
             yield from buffer.rest() if bound is None else buffer.until(bound, bucket.node)

@@ -77,7 +77,7 @@ NEW_TABLE_SEC = 1.0
 POOL_PAUSE_SEC = 0.05
 LAST_WORD_SEC = 0.5
 """How long close() waits for the driver if the program has to end and the store is silent, s."""
-AT_ONCE = 16
+REQUESTS_AT_ONCE = 16
 """Maximum number of statements of execute_many that wait for their answers at the same time."""
 CHANGES_AT_ONCE = 4
 """Maximum number of DDL statements that wait for their answers from a cluster of one node."""
@@ -494,7 +494,7 @@ class Cassandra:
     ) -> list[list[CqlRow]]:
         """Run one idempotent statement with several sets of parameters, 16 at a time."""
         answers = (self.begin(cql, values, what=what, retry_sec=retry_sec) for values in params)
-        return [answer() for answer in sent_ahead(answers, AT_ONCE)]
+        return [answer() for answer in sent_ahead(answers, REQUESTS_AT_ONCE)]
 
     def schema_change(self, cql: str, *, what: str) -> None:
         """Run one DDL statement and wait until all nodes agree on the schema.

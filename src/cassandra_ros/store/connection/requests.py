@@ -262,7 +262,7 @@ class PagedRead:
             yield from page
 
 
-MAX_BYTES = 4 * 1024 * 1024
+MAX_SENT_BYTES = 4 * 1024 * 1024
 """Maximum number of bytes on their way: eight chunks of large messages, or 16 batches. More is not
 faster, and a server stops reading from an address that has sent it heap / 40 ahead."""
 MAX_REQUESTS = 16
@@ -312,9 +312,9 @@ class Flight:
         request = _Request(statement, nbytes, outcome, time.monotonic())
         try:
             with self._changed:
-                # A statement larger than MAX_BYTES is sent when no other one is on its way.
+                # A statement larger than MAX_SENT_BYTES is sent when no other one is on its way.
                 while self._requests and (
-                    len(self._requests) >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
+                    len(self._requests) >= MAX_REQUESTS or self._bytes + nbytes > MAX_SENT_BYTES
                 ):
                     self._changed.wait(LOOK_SEC)
                     if self._is_over():

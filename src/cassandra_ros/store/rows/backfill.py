@@ -13,7 +13,7 @@ from typing import Iterator, NamedTuple, Sequence
 from cassandra.query import BatchStatement, BatchType
 
 from cassandra_ros.store.connection.requests import RawRow
-from cassandra_ros.store.rows.writer import BATCH_BYTES, BATCH_ROWS
+from cassandra_ros.store.rows.writer import WRITE_BATCH_BYTES, WRITE_BATCH_ROWS
 from cassandra_ros.store.tables.row_table import (
     ODD,
     RowTable,
@@ -97,7 +97,7 @@ def _parts(updates: Sequence[ShadowUpdate]) -> Iterator[list[ShadowUpdate]]:
     for update in updates:
         group.append(update)
         size += 100 + len(update.value or b"")
-        if len(group) >= BATCH_ROWS or size >= BATCH_BYTES:
+        if len(group) >= WRITE_BATCH_ROWS or size >= WRITE_BATCH_BYTES:
             yield group
             group, size = [], 0
     if group:

@@ -33,7 +33,8 @@ from cassandra_ros.store.tables.row_table import (
     encode_int,
 )
 
-AHEAD = 16
+FETCHED_ROWS_AHEAD = 16
+"""Number of rows that are requested ahead when rows are fetched by their keys."""
 KEY_PAGE_ROWS = 5000
 _PAGE_CHUNKS = 8
 VERSION_PAGE_ROWS = 16
@@ -52,7 +53,7 @@ class RowKey(NamedTuple):
     position: Position
 
 
-def fetch_rows(keys: Iterable[RowKey], ahead: int = AHEAD) -> Iterator[TableRow]:
+def fetch_rows(keys: Iterable[RowKey], ahead: int = FETCHED_ROWS_AHEAD) -> Iterator[TableRow]:
     """Yield rows in the given order; rows that were deleted meanwhile are left out."""
     finders: dict[str, MessageFinder] = {}
 

@@ -63,7 +63,7 @@ PAGE_BYTES = 2 * 1024 * 1024
 ALL_PAGES_BYTES = 16 * 1024 * 1024
 """Approximate maximum size of the pages of all streams of one merged read, bytes."""
 MAX_PAGE_ROWS = 5000
-AHEAD = 16
+FILTERED_BUCKETS_AHEAD = 16
 """Maximum number of buckets that the server filters at the same time."""
 UNKNOWN_ROW_BYTES = 32 * 1024
 """Assumed size of the rows of a bucket that the directory has no counts of yet, bytes."""
@@ -594,7 +594,7 @@ class _BucketQueue(Generic[_T]):
     def _page_bytes(self, table: RowTable) -> int:
         # For filtered blocks only headers are requested ahead, for filtered rows the rows.
         checks = self._read.chooser is not None and not table.packed
-        pages = self._streams + (AHEAD if self._few or checks else 1)
+        pages = self._streams + (FILTERED_BUCKETS_AHEAD if self._few or checks else 1)
         return min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
 
     def _foresee(self, directory: Directory, tables: Sequence[RowTable]) -> None:
@@ -625,7 +625,7 @@ class _BucketQueue(Generic[_T]):
         self._look()
         self._listed += max(1, piece.listed) if piece.rows else 0
         if not self._few or (self._listed >= self._rows and self.start != piece.start):
-            self._ahead = min(max(1, 2 * self._ahead), AHEAD) if filtered else 1
+            self._ahead = min(max(1, 2 * self._ahead), FILTERED_BUCKETS_AHEAD) if filtered else 1
             self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
         return rows
 
@@ -646,7 +646,7 @@ class _BucketQueue(Generic[_T]):
         """Return whether a bucket is requested in addition to those that already are."""
         if not self._asked or (piece.rows and len(self._asked) <= self._ahead):
             return True
-        if not self._few or not piece.rows or len(self._asked) > AHEAD:
+        if not self._few or not piece.rows or len(self._asked) > FILTERED_BUCKETS_AHEAD:
             return False
         entries = self._listed + sum(other.listed for other, _, _ in self._asked)
         return piece.start == self._asked[0][0].start or entries < self._rows

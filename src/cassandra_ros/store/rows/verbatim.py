@@ -19,7 +19,7 @@ from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.driver_errors import translate
 from cassandra_ros.store.connection.requests import Flight, Outcome, Patience, RawRow
-from cassandra_ros.store.rows.writer import BATCH_BYTES, BATCH_ROWS
+from cassandra_ros.store.rows.writer import WRITE_BATCH_BYTES, WRITE_BATCH_ROWS
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
 from cassandra_ros.store.tables.row_table import (
     ALL,
@@ -342,7 +342,7 @@ def _batches(rows: Sequence[RawRow]) -> Iterator[Sequence[RawRow]]:
     first = nbytes = 0
     for n, row in enumerate(rows):
         size = _size(row)
-        if n > first and (nbytes + size > BATCH_BYTES or n - first >= BATCH_ROWS):
+        if n > first and (nbytes + size > WRITE_BATCH_BYTES or n - first >= WRITE_BATCH_ROWS):
             yield rows[first:n]
             first, nbytes = n, 0
         nbytes += size

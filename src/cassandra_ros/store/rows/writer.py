@@ -69,9 +69,11 @@ REOPEN_SEC = 30.0
 
 # A batch costs the server some 0.5 ms in addition to its rows. Batches of 500 rows and 256 KiB cost
 # it an eighth more, those of 200 rows and 64 KiB a third. None is larger than a chunk.
-BATCH_ROWS = 1000
-BATCH_BYTES = 512 * 1024
-HELD_BYTES = 8 * 1024 * 1024
+WRITE_BATCH_ROWS = 1000
+"""Number of rows from which a batch is sent."""
+WRITE_BATCH_BYTES = 512 * 1024
+"""Size of the rows from which a batch is sent, bytes."""
+BATCHED_LARGE_BYTES = 8 * 1024 * 1024
 """Maximum size of the large messages whose rows wait in a batch, bytes. They stay in memory until
 the batch is stored."""
 _ROW_OVERHEAD = 60
@@ -215,9 +217,9 @@ class OpenBucket:
             return 0
         if not batch.rows:
             batch.since = time.monotonic()
-        rows = rows[: BATCH_ROWS - len(batch.rows)]
+        rows = rows[: WRITE_BATCH_ROWS - len(batch.rows)]
         sizes = list(map(len, map(_wire_of, rows)))
-        room = BATCH_BYTES - batch.nbytes
+        room = WRITE_BATCH_BYTES - batch.nbytes
         if sum(sizes) + _ROW_OVERHEAD * len(rows) > room:
             ends = accumulate(size + _ROW_OVERHEAD for size in sizes)
             count = 1 + sum(1 for _ in takewhile(room.__gt__, ends))
@@ -290,8 +292,8 @@ class OpenBucket:
     def is_full(self) -> bool:
         """Return whether the batch should be sent now."""
         batch = self.batch
-        large = batch.nbytes >= BATCH_BYTES or batch.held >= HELD_BYTES
-        return large or len(batch.rows) >= BATCH_ROWS
+        large = batch.nbytes >= WRITE_BATCH_BYTES or batch.held >= BATCHED_LARGE_BYTES
+        return large or len(batch.rows) >= WRITE_BATCH_ROWS
 
     def finish_batch(self) -> tuple[Batch, BatchStatement]:
         """Return the filled batch with the statement that stores it, and begin a new batch."""
@@ -564,7 +566,7 @@ class RowWriter:
                 if block.in_chunks:
                     self._send_large(bucket, block)
                     return
-                if waiting and waiting + len(block.data) > BATCH_BYTES:
+                if waiting and waiting + len(block.data) > WRITE_BATCH_BYTES:
                     self._send(bucket)
                 bucket.add_block(block)
                 was_added = True

@@ -13,7 +13,7 @@ from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cassandra_ros.store.connection.cassandra import AT_ONCE, Cassandra
+from cassandra_ros.store.connection.cassandra import REQUESTS_AT_ONCE, Cassandra
 from cassandra_ros.store.connection.requests import RawRow, await_answer, retried, sent_ahead
 from cassandra_ros.store.tables.row_table import decode_long
 
@@ -73,7 +73,7 @@ def read_columns(
         f"SELECT {COLUMNS} FROM {table} WHERE tbl = ? AND node = ? AND slot = ? AND {which} LIMIT ?"
     )
     requests = (_ask(cassandra, cql, slot_range, single) for slot_range in slot_ranges)
-    return (answer() for answer in sent_ahead(requests, AT_ONCE))
+    return (answer() for answer in sent_ahead(requests, REQUESTS_AT_ONCE))
 
 
 def _ask(
@@ -120,7 +120,7 @@ def count_closed(
     )
     total, others = 0, set()
     requests = (_ask_rows(cassandra, cql, span, ACTIVE_PAGE_ROWS) for span in active_ranges)
-    for answer in sent_ahead(requests, AT_ONCE):
+    for answer in sent_ahead(requests, REQUESTS_AT_ONCE):
         rows = answer()
         moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
         entries = [row[2] for row in rows if row[:2] not in moving]

@@ -40,7 +40,7 @@ from typing import (
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.store.connection.cassandra import AT_ONCE, Cassandra, CqlRow
+from cassandra_ros.store.connection.cassandra import REQUESTS_AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.store.connection.requests import Seconds, sent_ahead
 from cassandra_ros.store.tables.bucket_columns import (
     BucketColumns,
@@ -56,7 +56,7 @@ MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
 MAX_MESSAGES = 1024
 """Maximum number of messages in a block."""
-MAX_BYTES = 256 * 1024
+MAX_BLOCK_BYTES = 256 * 1024
 """Maximum number of serialised bytes in a block."""
 MIN_SPAN_NS = 10_000_000
 UNKNOWN_SPAN_NS = 10 * SECOND_NS
@@ -133,7 +133,7 @@ def span_for(rate_hz: float, bytes_per_sec: float) -> int:
         return UNKNOWN_SPAN_NS
     seconds = BLOCKS_IN_SPAN * MAX_MESSAGES / rate_hz
     if bytes_per_sec:
-        seconds = min(seconds, BLOCKS_IN_SPAN * MAX_BYTES / bytes_per_sec)
+        seconds = min(seconds, BLOCKS_IN_SPAN * MAX_BLOCK_BYTES / bytes_per_sec)
     return int(max(min(seconds * SECOND_NS, BUCKET_LENGTHS[-1]), MIN_SPAN_NS))
 
 
@@ -370,7 +370,7 @@ class Directory:
         """Return the buckets of all robots in [first, last] that cr_active lists."""
         slots = self._slots_between(table, slot_of(first), slot_of(last))
         requests = (self.begin_active(table, slot, first, last) for slot in slots)
-        return [row for answer in sent_ahead(requests, AT_ONCE) for row in answer()]
+        return [row for answer in sent_ahead(requests, REQUESTS_AT_ONCE) for row in answer()]
 
     def buckets_by_robot(
         self, table: str, first: int, last: int, nodes: Sequence[str] | None = None
@@ -383,7 +383,7 @@ class Directory:
         all_slots = self.nodes(table, slot_of(first), slot_of(last))
         slots = [(slot, node) for slot, node in all_slots if nodes is None or node in nodes]
         requests = self.begin_buckets((table, node, slot, first, last) for slot, node in slots)
-        return [row for answer in sent_ahead(requests, AT_ONCE) for row in answer()]
+        return [row for answer in sent_ahead(requests, REQUESTS_AT_ONCE) for row in answer()]
 
     def _slots_between(self, table: str, first: int, last: int) -> Iterable[int]:
         """Return the slots in [first, last] that may have buckets of a table."""
@@ -441,7 +441,7 @@ class Directory:
             self.begin_active(table, slot_of(bucket), bucket, bucket)
             for bucket in sorted({bucket for _, bucket in others})
         )
-        rows = (row for answer in sent_ahead(again, AT_ONCE) for row in answer())
+        rows = (row for answer in sent_ahead(again, REQUESTS_AT_ONCE) for row in answer())
         return count, [row for row in rows if (row.node, row.bucket) in others]
 
     def find_active(self, table: str, node: str, bucket: int) -> list[BucketRow]:
@@ -769,7 +769,7 @@ class BucketWalk:
         if not inside:
             return None
         slot = self._restrict(max(inside) if self._reverse else min(inside))
-        few = self._by_time or (slot is not None and len(slot[1]) <= AT_ONCE)
+        few = self._by_time or (slot is not None and len(slot[1]) <= REQUESTS_AT_ONCE)
         return slot if few else None
 
     def _ask(self, slot: _Slot, ends: tuple[int, int], limit: int) -> _Request:
@@ -780,7 +780,7 @@ class BucketWalk:
             return iter([ask(self._table, slot[0], *ends, limit, reverse=self._reverse)]), limit
         params = [(self._table, node, slot[0], *ends) for node in slot[1]]
         requests = sent_ahead(
-            self._directory.begin_buckets(params, limit, reverse=self._reverse), AT_ONCE
+            self._directory.begin_buckets(params, limit, reverse=self._reverse), REQUESTS_AT_ONCE
         )
         first = next(requests, None)  # sends the requests
         return (iter(()) if first is None else chain((first,), requests)), limit

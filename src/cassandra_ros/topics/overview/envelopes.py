@@ -31,7 +31,7 @@ from cassandra_ros.topics.topic_table import TopicTable
 TILE_PIXELS = 1024
 """Number of pixels of one piece. A longer bucket is read in such pieces, because a close view needs
 only a small part of it."""
-AHEAD = 8
+ZONE_PIECES_AHEAD = 8
 """Number of pieces whose zones are requested at the same time."""
 CACHE_BYTES = 64 * 1024 * 1024
 
@@ -216,7 +216,7 @@ class EnvelopeReader:
         while True:
             for n in rest:
                 coming.append((n, self._pieces.ask(entries[n].piece)))
-                if len(coming) >= AHEAD:
+                if len(coming) >= ZONE_PIECES_AHEAD:
                     break
             if not coming:
                 return

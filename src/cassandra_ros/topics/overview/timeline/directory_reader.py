@@ -16,7 +16,7 @@ from typing import Callable, Iterator, List, NamedTuple, Sequence, Tuple
 import numpy as np
 
 from cassandra_ros.read import LAST_NS, Whose
-from cassandra_ros.store.connection.cassandra import AT_ONCE
+from cassandra_ros.store.connection.cassandra import REQUESTS_AT_ONCE
 from cassandra_ros.store.connection.requests import sent_ahead
 from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.bucket_columns import BucketColumns, SlotKey, SlotRange
@@ -91,7 +91,7 @@ class DirectoryReader:
             fresh = {name: slots for name, (until, slots) in self._slots.items() if until > now}
         missing = [table.name for table in tables if not table.named and table.name not in fresh]
         requests = (self._directory.begin_nodes(name, _EVER) for name in missing)
-        for name, answer in zip(missing, sent_ahead(requests, AT_ONCE)):
+        for name, answer in zip(missing, sent_ahead(requests, REQUESTS_AT_ONCE)):
             fresh[name] = [(slot, node) for slot, node in answer()]
         until = now + KEEP_SEC
         with self._mutex:
@@ -140,7 +140,7 @@ class DirectoryReader:
         ]
         params = (place for _, place in slot_ranges)
         answers = self._directory.begin_buckets(params, _WRITERS, reverse=reverse)
-        for (table, place), answer in zip(slot_ranges, sent_ahead(answers, AT_ONCE)):
+        for (table, place), answer in zip(slot_ranges, sent_ahead(answers, REQUESTS_AT_ONCE)):
             length, ttl = table.metadata.bucket_ns, table.metadata.ttl
             times: list[int] = []
             entries = answer()
@@ -226,7 +226,7 @@ class DirectoryReader:
         if not buckets:
             return columns, 0
         params = ((table.name, node, slot_of(bucket), bucket, bucket) for bucket in buckets)
-        answers = sent_ahead(self._directory.begin_buckets(params), AT_ONCE)
+        answers = sent_ahead(self._directory.begin_buckets(params), REQUESTS_AT_ONCE)
         rows = recount_open_buckets(
             self._directory, table, [row for answer in answers for row in answer()]
         )
