@@ -54,7 +54,7 @@ FIGURES = [
     mib(query_node.YAML_BYTES),
     mib(answer_bound.MAX_ANSWER_BYTES),
     mib(parse.MAX_STATEMENT),
-    f"{sql_statement.MAX_TEXT >> 10} KiB",
+    f"{sql_statement.MAX_STATEMENT_CHARACTERS >> 10} KiB",
     duck_database.MEMORY,
     duck_database.SPILL,
     f"{statement_process.MORE_BYTES >> 30} GiB",
@@ -63,14 +63,14 @@ FIGURES = [
     f"{statement_processes.STATEMENT_SEC:g} s",
     str(statement_processes.STATEMENTS_AT_ONCE),
     mib(process_frames.MAX_FRAME_BYTES),
-    mib(definition.MAX_TEXT),
+    mib(definition.MAX_DEFINITION_CHARACTERS),
     str(definition.MAX_TYPES),
     str(shape.MAX_DEPTH),
     mib(shape.MAX_FIXED_BYTES),
     mib(message_file.MAX_CHUNK_BYTES),
     f"{message_file.MAX_RATIO} times",
     f"{message_file.MAX_PLAIN_BYTES >> 30} GiB",
-    mib(mcap_format.MAX_TEXT_BYTES),
+    mib(mcap_format.MAX_DESCRIPTION_BYTES),
     str(message_file.MAX_RECORDS),
     str(LIMITS.clients),
     f"{LIMITS.head_sec:g} s",
@@ -91,7 +91,7 @@ def test_each_figure_is_that_of_the_code():
     table = text.split("| piece | bound | figure |")[1].split("\n\n")[0]
     rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
     assert [row[2] for row in rows] == FIGURES
-    assert bag_format.MAX_CONNECTION_BYTES == mcap_format.MAX_TEXT_BYTES  # a row for both
+    assert bag_format.MAX_CONNECTION_BYTES == mcap_format.MAX_DESCRIPTION_BYTES  # a row for both
 
 
 LEAST_HEAP, MOST_HEAP = cluster_settings.OWN_HEAP_MB

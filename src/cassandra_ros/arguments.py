@@ -29,7 +29,7 @@ MAX_MESSAGE_NAME_BYTES = 4096
 MAX_NODE_BYTES = 61_411
 """Maximum length of a nodeID in a query, UTF-8 bytes. A longer one does not fit into a partition
 key of 65,535 bytes together with a name, a time and a counter."""
-MAX_TEXT_BYTES = 1 << 20
+MAX_ARGUMENT_BYTES = 1 << 20
 """Maximum length of any text, UTF-8 bytes. Each client reads the metadata of all topics, so these
 must not hold whole files."""
 MAX_VALUES_BYTES = 1 << 16
@@ -66,7 +66,7 @@ def plain_value(value: Any) -> Any:
 def check_text(
     name: str,
     value: Any,
-    most: int = MAX_TEXT_BYTES,
+    most: int = MAX_ARGUMENT_BYTES,
     error: type[CassandraRosError] = InvalidOption,
     wanted: str = "a text",
 ) -> str:
@@ -145,7 +145,7 @@ def check_run(run: Any) -> None | str | int:
     if isinstance(run, Integral) and not isinstance(run, bool):
         return check_integer("run", run, 1, MAX_WRITER, InvalidName)
     wanted = f"the name of a run, or its writer id of 1 to {MAX_WRITER}"
-    return check_text("run", run, MAX_TEXT_BYTES, InvalidName, wanted)
+    return check_text("run", run, MAX_ARGUMENT_BYTES, InvalidName, wanted)
 
 
 def check_run_name(name: Any) -> str:
@@ -219,7 +219,7 @@ def check_topics(topics: Any) -> list[str] | None:
 
 def check_field(field: Any) -> str:
     """Return the name of a field to look up in a message type, or raise InvalidName."""
-    return check_text("field", field, MAX_TEXT_BYTES, InvalidName, "a name like 'linear.x'")
+    return check_text("field", field, MAX_ARGUMENT_BYTES, InvalidName, "a name like 'linear.x'")
 
 
 def check_fields(name: str, fields: Any) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import html
 from typing import Callable, Container, Iterable, List, Mapping, Sequence, TypeVar
 
-MOST_ROWS = 60
+NOTEBOOK_ROWS = 60
 """Maximum number of rows of a table that is shown in a notebook, as in pandas."""
 
 MOST_CHARACTERS = 256
@@ -77,7 +77,7 @@ def public_names(thing: object, inner: Container[str]) -> list[str]:
 def html_table(
     columns: Sequence[str], rows: Sequence[Sequence[object]], of: int | None = None
 ) -> str:
-    """Return the first MOST_ROWS rows of a table as HTML for a notebook; texts are escaped.
+    """Return the first NOTEBOOK_ROWS rows of a table as HTML for a notebook; texts are escaped.
 
     Args:
         columns: Headings.
@@ -86,10 +86,10 @@ def html_table(
     """
     of = len(rows) if of is None else of
     parts = ["<table><thead>", _html_row("th", columns), "</thead><tbody>"]
-    parts += [_html_row("td", row) for row in rows[:MOST_ROWS]]
+    parts += [_html_row("td", row) for row in rows[:NOTEBOOK_ROWS]]
     parts.append("</tbody></table>")
-    if of > MOST_ROWS:
-        parts.append(f"<p>{MOST_ROWS} of {of} rows</p>")
+    if of > NOTEBOOK_ROWS:
+        parts.append(f"<p>{NOTEBOOK_ROWS} of {of} rows</p>")
     return "".join(parts)
 
 

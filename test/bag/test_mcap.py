@@ -23,7 +23,7 @@ from suites import search
 from cassandra_ros.errors import BagError, BagUnindexed
 from cassandra_ros.files.bag.file_formats import make_file, open_file
 from cassandra_ros.files.bag.identity import read_content
-from cassandra_ros.files.bag.mcap_channel import HEADER, NUMBER, to_channel, to_connection
+from cassandra_ros.files.bag.mcap_channel import HEADER_FIELD, NUMBER, to_channel, to_connection
 from cassandra_ros.files.bag.mcap_format import RECORD, find_messages, walk
 from cassandra_ros.files.bag.mcap_writer import McapWriter
 from cassandra_ros.messages.connection_header import Connection, live_connection
@@ -319,7 +319,7 @@ def test_any_header_comes_back_to_the_bit(fields, definition):
 
 def test_hostile_metadata_is_refused():
     for text in ("x", "1:=", "99999999999999999999999:AAAA", ":"):
-        channel = Channel(1, "/a", "ros1", {HEADER: text}, 1)
+        channel = Channel(1, "/a", "ros1", {HEADER_FIELD: text}, 1)
         with pytest.raises(BagError, match=r"^channel 1 \(topic /a\) is damaged: "):
             to_connection(channel, Schema(1, b"", "ros1msg", "std_msgs/String"))
 

@@ -14,7 +14,7 @@ from cassandra_ros.files.bag.comparison import verify_bag
 from cassandra_ros.files.bag.exporter import export_bag
 from cassandra_ros.files.bag.file_formats import open_file
 from cassandra_ros.files.bag.importer import import_bag
-from cassandra_ros.files.bag.mcap_channel import HEADER
+from cassandra_ros.files.bag.mcap_channel import HEADER_FIELD
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection
 
@@ -151,7 +151,9 @@ def test_any_publish_time_comes_back(rosCas, tmp_path, sent):
     assert {(T0 + delay) % 2**64 for delay in told[0]} >= {sent}
 
 
-@pytest.mark.parametrize("metadata", [{"md5sum": ""}, {HEADER: "x"}, {HEADER: "0:AAAA"}])
+@pytest.mark.parametrize(
+    "metadata", [{"md5sum": ""}, {HEADER_FIELD: "x"}, {HEADER_FIELD: "0:AAAA"}]
+)
 def test_a_bad_channel_does_not_hide_the_others(rosCas, tmp_path, metadata):
     path = mcap_of(tmp_path / "a.mcap", metadata, [T0] * 3)
     report = import_bag(rosCas, path)

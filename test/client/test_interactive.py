@@ -18,7 +18,7 @@ from std_msgs.msg import Duration, Header, String
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.printable import MOST_ROWS
+from cassandra_ros.printable import NOTEBOOK_ROWS
 
 SEC = 10**9
 T0 = 1_368_021_980 * SEC
@@ -127,9 +127,9 @@ def test_results_are_lists_and_say_how_long_they_are(store, topic):
     rows = store.executeCQL("select KEY, linear.x from /cmd_vel")
     assert repr(rows) == repr(list(rows))
     many = store.executeCQL("select KEY, linear.x from /cmd_vel")
-    many.extend(rows[1:] * MOST_ROWS)
+    many.extend(rows[1:] * NOTEBOOK_ROWS)
     assert repr(many).endswith(f", … {len(many)} rows of KEY, linear.x]")
-    assert repr(many).count("Stamp[") == MOST_ROWS
+    assert repr(many).count("Stamp[") == NOTEBOOK_ROWS
 
 
 def test_a_notebook_shows_tables(store, topic):
@@ -145,8 +145,8 @@ def test_a_notebook_shows_tables(store, topic):
     assert pickle.loads(pickle.dumps(store.info())) == store.info()  # noqa: S301 (our own)
     assert store.runs()._repr_html_().startswith("<table><thead><tr><th>run</th>")
     rows = store.executeCQL("select KEY from /cmd_vel")
-    rows.extend(list(rows) * MOST_ROWS)
-    assert rows._repr_html_().endswith(f"<p>{MOST_ROWS} of {len(rows)} rows</p>")
+    rows.extend(list(rows) * NOTEBOOK_ROWS)
+    assert rows._repr_html_().endswith(f"<p>{NOTEBOOK_ROWS} of {len(rows)} rows</p>")
 
 
 def test_dir_lists_what_a_person_uses(store, topic):

@@ -49,7 +49,7 @@ def patience(monkeypatch):
         monkeypatch.setattr(topic_history, f"{name}_SEC", seconds)
     # Also where the machine stands still for a while: who writes is seen to write.
     monkeypatch.setattr("cassandra_ros.store.rows.writer.IDLE_SEC", 600.0)
-    monkeypatch.setattr("cassandra_ros.playing.history.stored_past.FRESH_SEC", 600.0)
+    monkeypatch.setattr("cassandra_ros.playing.history.stored_past.RUNNING_REPORT_SEC", 600.0)
 
 
 class Stage:

@@ -17,7 +17,7 @@ from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTy
 from cassandra_ros.messages.classes import installed_definition, message_class
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.formats.table import FORMATS, format_class
-from cassandra_ros.store.blocks.block_row import HEADER, Block, read_block
+from cassandra_ros.store.blocks.block_row import HEADER_COLUMNS, Block, read_block
 from cassandra_ros.store.blocks.codec import VERSION, pack_block
 from cassandra_ros.store.tables.checksum import crc32
 
@@ -170,7 +170,7 @@ def block_row(chance, times, size, data):
         width = len(values[name] or b"1234")
         number = chance.choice((None, chance.choice(LONGS) % 256**width))
         values[name] = None if number is None else number.to_bytes(width, "big")
-    names = [name.strip('" ') for name in HEADER.split(",")]
+    names = [name.strip('" ') for name in HEADER_COLUMNS.split(",")]
     return tuple(values[name] for name in (*names, "_data"))
 
 

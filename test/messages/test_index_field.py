@@ -30,7 +30,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.index_field import MAX_ELEMENTS, MAX_TEXT_BYTES, IndexField
+from cassandra_ros.messages.index_field import MAX_ELEMENTS, MAX_INDEXED_TEXT_BYTES, IndexField
 
 NAN = float("nan")
 
@@ -85,9 +85,9 @@ def transforms(*names, x=0.0):
         (Float32(float("-inf")), "data", float("-inf")),
         (String("grün"), "data", "grün"),
         (String(""), "data", ""),
-        (String("x" * MAX_TEXT_BYTES), "data", "x" * MAX_TEXT_BYTES),
-        (String("x" * (MAX_TEXT_BYTES + 1)), "data", "odd"),
-        (String("ü" * (MAX_TEXT_BYTES // 2 + 1)), "data", "odd"),
+        (String("x" * MAX_INDEXED_TEXT_BYTES), "data", "x" * MAX_INDEXED_TEXT_BYTES),
+        (String("x" * (MAX_INDEXED_TEXT_BYTES + 1)), "data", "odd"),
+        (String("ü" * (MAX_INDEXED_TEXT_BYTES // 2 + 1)), "data", "odd"),
         (Float64(NAN), "data", "odd"),
         (Float32(NAN), "data", "odd"),
         (Time(genpy.Time(7, 8)), "data", 7_000_000_008),

@@ -21,7 +21,7 @@ from cassandra_ros.playing.history import stored_past, topic_history
 # What is recorded comes into the store: a machine that stands still for a while lets it be late.
 topic_history.PATIENCE_SEC = topic_history.DOUBT_SEC = 150.0
 topic_history.MOST_SEC = 300.0
-stored_past.FRESH_SEC = 150.0
+stored_past.RUNNING_REPORT_SEC = 150.0
 wanted = json.loads(sys.argv[1])
 rospy.init_node("listener", anonymous=True, disable_signals=True)
 forward_logging()

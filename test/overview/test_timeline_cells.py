@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.topics.overview.timeline.time_cells import (
-    MAX_CELLS,
+    MAX_TIMELINE_CELLS,
     Scale,
     TimeCells,
     TimeRanges,
@@ -129,7 +129,9 @@ def test_cells_are_written_as_runs():
     assert time_ranges_of_cells(np.array([True, True, False, True])) == [[0, 1], [3, 3]]
 
 
-@pytest.mark.parametrize(("start", "end", "most"), [(0, 9, 0), (0, 9, MAX_CELLS + 1), (9, 0, 5)])
+@pytest.mark.parametrize(
+    ("start", "end", "most"), [(0, 9, 0), (0, 9, MAX_TIMELINE_CELLS + 1), (9, 0, 5)]
+)
 def test_what_is_no_window_is_refused(start, end, most):
     with pytest.raises(InvalidOption):
         Scale.over(start, end, most)

@@ -15,7 +15,7 @@ from suites import search
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.places.ground_cells import (
     LONGEST_NS,
-    MAX_CELLS,
+    MAX_REGION_CELLS,
     SIZES_M,
     OpenVisits,
     cells_of,
@@ -159,7 +159,7 @@ def test_cells_cover_what_is_asked_for():
         (4, 0, 0),
     ]
     assert {cell.size for cell in cells_of(DiskRegion(0, 0, 30).box)} == {64}
-    assert len(cells_of(DiskRegion(0, 0, 5000).box)) <= MAX_CELLS
+    assert len(cells_of(DiskRegion(0, 0, 5000).box)) <= MAX_REGION_CELLS
     assert cells_of(DiskRegion(0, 0, 1e6).box) is None
 
 

@@ -261,7 +261,7 @@ def test_no_index_is_made_while_files_are_merged(rosCas, cql, monkeypatch):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
     with monkeypatch.context() as busy:
-        busy.setattr(index_builds, "QUIET_SEC", 0.2)
+        busy.setattr(index_builds, "MERGES_END_SEC", 0.2)
         busy.setattr(
             index_builds.IndexBuilds, "tasks", lambda *args: {"node": [("compaction", 0.5)]}
         )
@@ -296,8 +296,8 @@ def busy(monkeypatch):
     @contextmanager
     def nobody_begins():
         with monkeypatch.context() as patched:
-            for module in (index_builds, schema_module):
-                patched.setattr(module, "BUILD_SEC", 0)
+            patched.setattr(index_builds, "BUILD_START_SEC", 0)
+            patched.setattr(schema_module, "NEW_TABLE_BUILD_SEC", 0)
             patched.setattr(index_builds, "begun", lambda names, *state: not names)
             yield
 
@@ -500,7 +500,7 @@ def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypat
 
     monkeypatch.setattr(schema, "create_sai_index", look)
     # Another test may let the server build a large one.
-    monkeypatch.setattr(schema_module, "BUILD_SEC", 120.0)
+    monkeypatch.setattr(schema_module, "NEW_TABLE_BUILD_SEC", 120.0)
     rosCas.addTopic("/t", index=["data"]).addData(String("a"))
     assert seen == [[], "false"]
     topic = rosCas.getTopic("/t")

@@ -124,7 +124,7 @@ from test_tables_together import asked
 from cassandra_ros import RosCassandra
 from cassandra_ros.store.tables import side_tables
 from cassandra_ros.store.tables.side_tables import SchemaLock
-side_tables.FRESH_SEC = -1.0
+side_tables.LOCK_RENEWAL_SEC = -1.0
 renew, renewals = SchemaLock.renew, []
 def renew_or_die(lock):
     renewals.append(lock)

@@ -200,7 +200,7 @@ def test_more_keys_than_the_bound_are_spread_evenly(viewer, monkeypatch):
     assert found["/paused", "husky"]["even"]
     assert found["/paused", "husky"]["messages"] == len(PAUSED)
     monkeypatch.setattr(detail, "MAX_KEYS", 0)
-    monkeypatch.setattr(detail, "MAX_BLOCKS", 0)
+    monkeypatch.setattr(detail, "MAX_PICTURE_BLOCKS", 0)
     found = lanes(viewer.get("/api/timeline", topics=["/even", "/paused"], **window))
     assert all(lane["even"] for lane in found.values() if lane["node"] == "husky")
 

@@ -31,7 +31,7 @@ ColumnTypes = Sequence[Tuple[str, ArrayType]]
 """Name and type of each column."""
 Rows = Iterable[Tuple[object, ...]]
 
-PAGE_ROWS = 200
+WIDTH_SAMPLE_ROWS = 200
 """Number of first rows of a table from which the column widths are computed."""
 MAX_CELL = 120
 """Maximum number of characters in a cell of a table."""
@@ -49,13 +49,13 @@ _QUOTED = set('",\r\n')
 def write_table(columns: ColumnNames, rows: Rows, stream: IO[str]) -> None:
     """Write aligned columns for people; long values are cut.
 
-    The column widths are those of the first PAGE_ROWS rows. A longer value in a later row shifts
-    the rest of its line.
+    The column widths are those of the first WIDTH_SAMPLE_ROWS rows. A longer value in a later row
+    shifts the rest of its line.
     """
     lines = iter(rows)
     texts: list[list[str]] = []
     kinds: list[list[bool | None]] = []
-    for row in islice(lines, PAGE_ROWS):  # only the cut texts are kept in memory
+    for row in islice(lines, WIDTH_SAMPLE_ROWS):  # only the cut texts are kept in memory
         texts.append([_cell(value) for value in row])
         kinds.append([None if value is None else _is_number(value) for value in row])
     right = [_are_numbers(column) for column in zip(*kinds)] or [False] * len(columns)

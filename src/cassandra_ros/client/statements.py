@@ -40,7 +40,7 @@ from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.overview.envelopes import EnvelopeCache
 from cassandra_ros.topics.overview.plot_series import (
-    WHOLE,
+    WHOLE_WINDOW,
     PlotWindow,
     Series,
     SeriesRequest,
@@ -135,7 +135,7 @@ class Statements:
         self,
         statement: str | Select,
         params: Sequence[Any] = (),
-        window: PlotWindow = WHOLE,
+        window: PlotWindow = WHOLE_WINDOW,
         *,
         node: str | None = None,
         run: RunName = None,

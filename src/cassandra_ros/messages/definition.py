@@ -30,7 +30,8 @@ from cassandra_ros.messages.spec import (
 )
 from cassandra_ros.metadata import Kind, message_kind
 
-MAX_TEXT = 1 << 20
+MAX_DEFINITION_CHARACTERS = 1 << 20
+"""Maximum length of the text of a definition, characters."""
 MAX_TYPES = 256
 
 _SEPARATOR = "=" * 80
@@ -85,7 +86,7 @@ def parse_definition(msg_type: str, text: str, md5sum: str | None = None) -> Def
     Raises:
         DefinitionError: The text is not a definition, is hostile, or has another md5.
     """
-    if not isinstance(text, str) or len(text) > MAX_TEXT:
+    if not isinstance(text, str) or len(text) > MAX_DEFINITION_CHARACTERS:
         raise DefinitionError(f"the definition of {msg_type!r} is no text of at most 1 MiB")
     return _parse(check_type_name(msg_type), text, md5sum)
 

@@ -19,7 +19,7 @@ from cassandra_ros.messages.wire.cql_values import CQL_CODES, pack_list, pack_nu
 from cassandra_ros.messages.wire.layout import FieldColumn, FixedField, element_of
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
-MAX_TEXT_BYTES = 1024
+MAX_INDEXED_TEXT_BYTES = 1024
 """Maximum size of an indexed text, bytes. Cassandra refuses rows with indexed texts over 8 KiB."""
 MAX_ELEMENTS = 256
 """Maximum number of elements of an indexed array."""
@@ -91,7 +91,7 @@ class IndexField:
         """Return one encoded value as the index holds it; None if it cannot be indexed."""
         if self.kind == "float":
             return normal_float(self.element_type, raw)
-        return None if len(raw) > MAX_TEXT_BYTES else raw
+        return None if len(raw) > MAX_INDEXED_TEXT_BYTES else raw
 
 
 def normal_float(cql_type: str, raw: bytes) -> bytes | None:

@@ -13,7 +13,7 @@ from typing import Any, Iterator
 from cassandra_ros.arguments import plain_value
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearest_fields, normal_float
+from cassandra_ros.messages.index_field import MAX_INDEXED_TEXT_BYTES, nearest_fields, normal_float
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES
 from cassandra_ros.messages.stamps import seconds_to_ns
 from cassandra_ros.messages.wire.cql_values import Primitive, encode_value, pack_list
@@ -68,7 +68,7 @@ class KeyPart:
         """Return the index entry of an encoded value; None if the value is not indexed."""
         if self.digest:
             return hashlib.md5(value).hexdigest().encode("ascii")
-        return None if len(value) > MAX_TEXT_BYTES else value
+        return None if len(value) > MAX_INDEXED_TEXT_BYTES else value
 
     def encode(self, value: object) -> bytes | None:
         """Encode a Python value to compare it with ``value``; None: no message can have this value.

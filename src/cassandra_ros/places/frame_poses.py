@@ -34,7 +34,7 @@ from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import Writers
 
 TF, TF_STATIC = "/tf", "/tf_static"
-AROUND_NS = 10 * SECOND_NS
+FRAME_SEARCH_NS = 10 * SECOND_NS
 """Distance from a time, on both sides, of the transforms in which frames are searched, ns."""
 _NUMBERS = [f"translation.{c}" for c in "xyz"] + [f"rotation.{c}" for c in "xyzw"]
 _NAMES = ("transforms.header.frame_id", "transforms.child_frame_id")
@@ -147,7 +147,7 @@ class TfRecording:
         """Return the ancestors of a frame, nearest first, as recorded around some row keys, ns."""
         parents: dict[int, set[int]] = {child: {p} for child, (p, _) in self.fixed.items()}
         for time in dict.fromkeys(times):
-            samples = self.read(max(0, time - AROUND_NS), time + AROUND_NS)
+            samples = self.read(max(0, time - FRAME_SEARCH_NS), time + FRAME_SEARCH_NS)
             pairs = np.unique(np.stack([samples.children, samples.parents], 1), axis=0)
             for child, parent in pairs.tolist():
                 if child not in self.fixed:

@@ -22,7 +22,7 @@ from cassandra_ros.places.rigid import Floats
 
 SIZES_M = (4, 64, 1024)
 """Side lengths of the cells, metres, ascending."""
-MAX_CELLS = 150
+MAX_REGION_CELLS = 150
 """Maximum number of cells of one size for a region. Beyond it the next larger size is used."""
 JOIN_NS = 5 * SECOND_NS
 """Maximum pause between two visits of a cell that are recorded as one, ns."""
@@ -58,7 +58,7 @@ def cells_of(box: Box) -> list[GroundCell] | None:
     """
     for size in SIZES_M:
         left, bottom, right, top = (_number(side, size) for side in box)
-        if (right - left + 1) * (top - bottom + 1) <= MAX_CELLS:
+        if (right - left + 1) * (top - bottom + 1) <= MAX_REGION_CELLS:
             columns, rows = range(left, right + 1), range(bottom, top + 1)
             return [GroundCell(size, x, y) for x in columns for y in rows]
     return None

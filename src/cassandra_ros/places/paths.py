@@ -25,7 +25,7 @@ from cassandra_ros.query.plan.bounds import NsRange
 LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
 LONGEST_WAY_M = 40_000.0
 """Maximum distance between two connected poses, metres in x or y. A robot cannot move farther."""
-AROUND_NS = 1_000_000
+STAY_MARGIN_NS = 1_000_000
 """Margin added to both ends of a computed stay, ns, because times are rounded."""
 
 
@@ -100,14 +100,14 @@ class RobotPath:
         return self.times[n], self.times[n + 1], lines
 
     def stays(self, region: Region) -> Iterator[NsRange]:
-        """Yield the time ranges of stays in a region, up to AROUND_NS too long, in time order."""
+        """Yield the time ranges of stays in a region, in order, up to STAY_MARGIN_NS too long."""
         starts, ends, lines = self.lines
         start_ns, end_ns = starts.tolist(), ends.tolist()
         ranges: list[NsRange] = []
         for n, first, last in region.shares(lines):
             length = end_ns[n] - start_ns[n]
             low, high = start_ns[n] + int(first * length), start_ns[n] + int(last * length)
-            ranges.append((low - AROUND_NS, high + AROUND_NS))
+            ranges.append((low - STAY_MARGIN_NS, high + STAY_MARGIN_NS))
         for n in self.alone.tolist():
             if region.holds(float(self.x[n]), float(self.y[n])):
                 ranges.append((int(self.times[n]), int(self.times[n])))

@@ -39,7 +39,7 @@ from cassandra_ros.read import Writers
 
 LONGEST_GAP_SEC = 10.0
 """Maximum time between two recorded poses with known poses in between, s."""
-REACH_NS = 10 * SECOND_NS
+POSE_REACH_NS = 10 * SECOND_NS
 """Minimum distance from a row key, on both sides, in which poses are read, ns."""
 MAX_SPAN_NS = 120 * SECOND_NS
 """Maximum length of the range of row keys whose poses are read together, ns."""
@@ -91,7 +91,7 @@ class Poses:
             )
         self._source = source
         self._gap = round(longest_gap_sec * SECOND_NS)
-        self._reach = max(REACH_NS, self._gap)
+        self._reach = max(POSE_REACH_NS, self._gap)
         self._held: tuple[int, int, Samples] = (0, -1, Samples.none())
         """First and last row key of the range that was read last, both included, and its
         samples."""

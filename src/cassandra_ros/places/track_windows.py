@@ -25,10 +25,10 @@ from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.read import Writers
 
-WINDOW_NS = 30 * SECOND_NS
+TRACK_WINDOW_NS = 30 * SECOND_NS
 MAX_CACHED_WINDOWS = 8
 """Maximum number of cached windows."""
-FRESH_SEC = 2.0
+OPEN_WINDOW_CACHE_SEC = 2.0
 """How long a window that may still get poses is cached, s."""
 
 
@@ -81,7 +81,7 @@ class Windows:
         """Return the window that contains a time, ns."""
         if self.still is not None:
             return PathWindow(self.still, complete=True)
-        number = t // WINDOW_NS
+        number = t // TRACK_WINDOW_NS
         path = self._kept.get(number)
         if path is not None and path[0] > time.monotonic():
             self._kept.move_to_end(number)
@@ -90,7 +90,7 @@ class Windows:
             for poses in self._poses.values():
                 poses.forget()
         window = self._read(number)
-        until = math.inf if window.complete else time.monotonic() + FRESH_SEC
+        until = math.inf if window.complete else time.monotonic() + OPEN_WINDOW_CACHE_SEC
         self._kept[number] = (until, window)
         self._kept.move_to_end(number)
         while len(self._kept) > MAX_CACHED_WINDOWS:
@@ -98,8 +98,8 @@ class Windows:
         return window
 
     def _read(self, number: int) -> PathWindow:
-        low = number * WINDOW_NS - LONGEST_GAP_NS
-        high = (number + 1) * WINDOW_NS - 1 + LONGEST_GAP_NS
+        low = number * TRACK_WINDOW_NS - LONGEST_GAP_NS
+        high = (number + 1) * TRACK_WINDOW_NS - 1 + LONGEST_GAP_NS
         path = RobotPath.of(self._poses_of(None).tracks(low, high))
         if not len(path):
             return PathWindow(path)

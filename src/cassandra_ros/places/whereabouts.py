@@ -19,7 +19,12 @@ from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, GroundCell, c
 from cassandra_ros.places.paths import LONGEST_GAP_NS, clip_ranges, merge_ranges, subtract_ranges
 from cassandra_ros.places.regions import DiskRegion, Region
 from cassandra_ros.places.robots import MAX_FRAMES, Robot, RobotFinder
-from cassandra_ros.places.track_windows import WINDOW_NS, PathWindow, Windows, overlapping_pairs
+from cassandra_ros.places.track_windows import (
+    TRACK_WINDOW_NS,
+    PathWindow,
+    Windows,
+    overlapping_pairs,
+)
 from cassandra_ros.query.plan.bounds import NsRange
 from cassandra_ros.query.protocols import Disk
 from cassandra_ros.read import Writers
@@ -52,7 +57,7 @@ class RegionStays:
 
     def holds(self, node: str, run: str, t: int) -> bool | None:
         """Return whether the robot of a message was in the region; None if unknown."""
-        number = t // WINDOW_NS
+        number = t // TRACK_WINDOW_NS
         latest = self._latest.get(node)
         if latest is None or latest[0] != number or not latest[1].complete:
             windows = self._windows.get(node)
@@ -99,7 +104,7 @@ class RegionStays:
         ranges = merge_ranges(sorted(span for spans in candidates for span in spans))
         for number in _numbers(list(ranges), reverse):
             watch()
-            start, end = number * WINDOW_NS, (number + 1) * WINDOW_NS - 1
+            start, end = number * TRACK_WINDOW_NS, (number + 1) * TRACK_WINDOW_NS - 1
             stays: list[NsRange] = []
             for windows, spans in zip(moving, candidates):
                 if _meets(spans, start, end):
@@ -113,7 +118,7 @@ def _numbers(spans: Sequence[NsRange], reverse: bool) -> Iterator[int]:
     """Yield the numbers of the windows that some time ranges touch, each once."""
     last: int | None = None
     for low, high in reversed(spans) if reverse else spans:
-        numbers = range(low // WINDOW_NS, high // WINDOW_NS + 1)
+        numbers = range(low // TRACK_WINDOW_NS, high // TRACK_WINDOW_NS + 1)
         for number in reversed(numbers) if reverse else numbers:
             if number != last:
                 yield number

@@ -55,7 +55,7 @@ SPOOL_WRITE_MESSAGES = 4096
 """Maximum number of messages that are written at once."""
 SEGMENT_BYTES = 16 << 20
 """Size from which a file is not written any further, bytes."""
-MAX_CONNECTIONS = 60_000
+SEGMENT_CONNECTIONS = 60_000
 """Number of connections in a file from which it is not written any further."""
 RETRY_SEC = 10.0
 """Pause after the disk has failed, s."""
@@ -409,7 +409,7 @@ class Backlog:
             self._messages += len(items)
             self._nbytes += nbytes
             self._buffer.release_all(items)
-        if writer.size >= self._most_bytes or writer.connections >= MAX_CONNECTIONS:
+        if writer.size >= self._most_bytes or writer.connections >= SEGMENT_CONNECTIONS:
             self._close_open()
 
     def _hand_over(self, items: Sequence[BufferedMessage]) -> None:

@@ -12,7 +12,7 @@ from typing import Mapping
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.tables.registry import Loss, LossKind
 
-GAP_NS = 60 * SECOND_NS
+JOINED_LOSSES_NS = 60 * SECOND_NS
 """Maximum time between two losses of a kind that are stored as one row, ns."""
 
 
@@ -55,7 +55,9 @@ class _LossRange:
     def takes(self, first_ns: int) -> bool:
         """Return whether a loss that begins at ``first_ns`` belongs to this row."""
         begins, ends = self.loss.first_ns, self.loss.last_ns
-        return begins - (0 if self.told else GAP_NS) <= first_ns <= ends + GAP_NS
+        return (
+            begins - (0 if self.told else JOINED_LOSSES_NS) <= first_ns <= ends + JOINED_LOSSES_NS
+        )
 
     def grow(self, messages: int, first_ns: int, last_ns: int) -> None:
         """Add a further loss."""

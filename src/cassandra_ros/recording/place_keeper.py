@@ -29,7 +29,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.frame_poses import TF, TF_STATIC
 from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.places.run_index import RobotRun, TfVisits, TopicVisits
-from cassandra_ros.places.transforms.transform_samples import TRANSFORMS
+from cassandra_ros.places.transforms.transform_samples import TRANSFORM_KIND
 from cassandra_ros.query.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.read import Read, Writers
@@ -140,7 +140,7 @@ def tells_places(connection: Connection) -> bool:
     """Return whether the messages of a connection have poses of a robot."""
     try:
         if connection.topic in (TF, TF_STATIC):
-            return connection_kind(connection) == TRANSFORMS
+            return connection_kind(connection) == TRANSFORM_KIND
         return connection.type in POSES
     except CassandraRosError:  # not even a header
         return False

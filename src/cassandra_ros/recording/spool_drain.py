@@ -56,7 +56,7 @@ from cassandra_ros.topics.message_writer import Handle, MessageWriter
 
 _log = logging.getLogger(__name__)
 
-GAP_NS = SECOND_NS
+MISSING_END_NS = SECOND_NS
 """Maximum time after the last sign of life of a killed recorder in which messages are missing, ns.
 """
 POLL_SEC = 0.1
@@ -426,7 +426,7 @@ class Drain:
         ends = [total.last_ns for total in totals.values()]
         last = max(ends, default=label.begun_ns)
         # Simulated time cannot be compared with the time at which a file was written.
-        until = (last if last < label.begun_ns else max(last, alive)) + GAP_NS
+        until = (last if last < label.begun_ns else max(last, alive)) + MISSING_END_NS
         for topic, total in totals.items():
             low = min(total.last_ns, MAX_NS)
             loss = Loss(topic, label.node, label.run, LossKind.KILLED, low, until, 0)

@@ -12,7 +12,7 @@ from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Sequence
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.stamps import is_time, iso_time, other_unit, to_ns
-from cassandra_ros.printable import MOST_ROWS, html_table
+from cassandra_ros.printable import NOTEBOOK_ROWS, html_table
 from cassandra_ros.query.plan.bounds import (
     Bounds,
     NsRange,
@@ -403,13 +403,13 @@ class Rows(list):  # type: ignore[type-arg]
         self.columns = tuple(columns)
 
     def __repr__(self) -> str:
-        if len(self) <= MOST_ROWS:
+        if len(self) <= NOTEBOOK_ROWS:
             return super().__repr__()
-        first = super().__getitem__(slice(MOST_ROWS))
+        first = super().__getitem__(slice(NOTEBOOK_ROWS))
         return f"[{', '.join(map(repr, first))}, … {len(self)} rows of {', '.join(self.columns)}]"
 
     def _repr_html_(self) -> str:
-        first = [list(map(_show, row)) for row in super().__getitem__(slice(MOST_ROWS))]
+        first = [list(map(_show, row)) for row in super().__getitem__(slice(NOTEBOOK_ROWS))]
         return html_table(self.columns, first, of=len(self))
 
 

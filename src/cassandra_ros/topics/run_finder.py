@@ -26,7 +26,7 @@ RunName = Union[None, str, int, FrozenSet[int]]
 or a set of writer ids; None = all runs."""
 _MOST_NAMED = 3
 """Maximum number of runs named in a text."""
-FRESH_SEC = 5.0
+RUN_NAME_CACHE_SEC = 5.0
 """How long the cached name of a writer's run is used, s."""
 
 
@@ -143,13 +143,13 @@ class Runs:
             if time.monotonic() > until:
                 text = self._learn().get(writer, str(writer))
                 # A run is stored before its first message: this one has no run, or is new.
-                self._texts[writer] = text, time.monotonic() + FRESH_SEC
+                self._texts[writer] = text, time.monotonic() + RUN_NAME_CACHE_SEC
             return text
 
     def _learn(self) -> dict[int, str]:
         """Read the names of the writers' runs; a repeated import may change them."""
         texts = {run.writer: run.name or str(run.writer) for run in self._registry.runs()}
-        until = time.monotonic() + FRESH_SEC
+        until = time.monotonic() + RUN_NAME_CACHE_SEC
         self._texts.update((writer, (text, until)) for writer, text in texts.items())
         return texts
 

@@ -39,11 +39,11 @@ from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.sql_answers import sql_plan, sql_plot, sql_rows
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
-PAGE_ROWS = 200
+ANSWER_PAGE_ROWS = 200
 """Default number of rows of a page."""
-MOST_ROWS = 10_000
+MAX_ANSWER_PAGE_ROWS = 10_000
 """Maximum number of rows of a page."""
-PAGE_BYTES = 8 * 1024 * 1024
+ANSWER_PAGE_BYTES = 8 * 1024 * 1024
 """Approximate size of the values of a page at which it ends, bytes."""
 BUDGET_SEC = 0.6
 """Default time after which an incomplete plot is answered, s."""
@@ -94,9 +94,9 @@ def _narrow(select: Select, terms: Sequence[Expression]) -> Select:
 
 def _query(call: ApiCall) -> Json:
     """Answer with a page of a statement's rows."""
-    limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
+    limit = min(call.count("limit") or ANSWER_PAGE_ROWS, MAX_ANSWER_PAGE_ROWS)
     if is_sql(call):
-        return sql_rows(call, limit, PAGE_BYTES, watch_of(call))
+        return sql_rows(call, limit, ANSWER_PAGE_BYTES, watch_of(call))
     select = statement_of(call)
     tables = call.store.statements.topic_of(select).tables
     result = call.store.statements.select(
@@ -127,7 +127,7 @@ def windowed(call: ApiCall, select: Select, tables: Sequence[Table]) -> Select:
 def page_of(
     call: ApiCall, result: QueryResult, tables: Sequence[Table], limit: int
 ) -> dict[str, Json]:
-    """Return the next rows of a statement as JSON, up to a number and PAGE_BYTES."""
+    """Return the next rows of a statement as JSON, up to a number and ANSWER_PAGE_BYTES."""
     cells = JsonConverter(call.count("cut"))
     rows: list[Json] = []
     times: list[Json] = []
@@ -142,7 +142,7 @@ def page_of(
         at = result.position
         times.append(cells.time_in(row) if at is None else str(at.t))
         cursor = result.cursor
-        if len(rows) >= limit or cells.size >= PAGE_BYTES:
+        if len(rows) >= limit or cells.size >= ANSWER_PAGE_BYTES:
             break
     else:
         cursor = ""
@@ -360,9 +360,9 @@ ROUTES: tuple[Route, ...] = (
             Parameter(
                 "limit",
                 "count",
-                f"Number of rows of the page, maximum {MOST_ROWS}.",
+                f"Number of rows of the page, maximum {MAX_ANSWER_PAGE_ROWS}.",
                 False,
-                PAGE_ROWS,
+                ANSWER_PAGE_ROWS,
             ),
             Parameter("after", "text", "Cursor: after of the page before."),
             Parameter("start", "time", "First time, included; not used for groups."),

@@ -40,7 +40,7 @@ from cassandra_ros.stores.fleet.fleet_row import FleetRow, merged_rows
 from cassandra_ros.stores.fleet.fleet_topic import FleetTopic, find_topic, topic_of
 from cassandra_ros.topics.overview.latched_messages import is_latched, publisher_of
 from cassandra_ros.topics.overview.latest_messages import (
-    TRANSFORMS,
+    TRANSFORM_TYPES,
     TRANSFORMS_NS,
     Latest,
     sources_at,
@@ -232,7 +232,7 @@ def _timeline(call: ApiCall, stores: FleetAnswer) -> _Told:
 
 def _query(call: ApiCall, stores: FleetAnswer) -> _Told:
     _refuse_sql(call)
-    limit = min(call.count("limit") or ask_routes.PAGE_ROWS, ask_routes.MOST_ROWS)
+    limit = min(call.count("limit") or ask_routes.ANSWER_PAGE_ROWS, ask_routes.MAX_ANSWER_PAGE_ROWS)
     select = ask_routes.statement_of(call)
     topic = topic_of(stores, select)
     result = QueryResult(
@@ -364,11 +364,11 @@ def _held_messages(rows: Iterable[FleetRow], t: int, since: int) -> list[FleetRo
             key = row.topic, row.node, row.name
             if row.t > t and key in last:
                 continue  # a store without an earlier version gives its first
-        elif row.table.msg_type in TRANSFORMS and row.t >= max(since, t - TRANSFORMS_NS):
+        elif row.table.msg_type in TRANSFORM_TYPES and row.t >= max(since, t - TRANSFORMS_NS):
             moving.add(row.topic)
             key = row.topic, row.place
         elif _is_latched(row):
-            holds_alone = row.table.msg_type in TRANSFORMS
+            holds_alone = row.table.msg_type in TRANSFORM_TYPES
             key = row.topic, row.place if holds_alone else publisher_of(row)
         last[key] = row
     held_rows = (row for key, row in last.items() if len(key) > 1 or row.topic not in moving)

@@ -43,7 +43,7 @@ from cassandra_ros.viewing.studio import STUDIO_VERSION, studio_installed
 from cassandra_ros.viewing.timeline_routes import timeline_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
-PAGE_BYTES = 4 * 2**20
+MESSAGE_PAGE_BYTES = 4 * 2**20
 """Default size of the messages of a page, bytes."""
 MAX_PAGE_BYTES = 64 * 2**20
 """Maximum size of the messages of a page, bytes."""
@@ -188,7 +188,7 @@ def page_read(call: ApiCall, whose: Whose) -> tuple[Read, int]:
     time_range = TimeRange(0 if start is None else start, LAST_NS if end is None else end)
     _check_order(time_range)
     after = call.text("after")
-    limit = call.count("bytes") or PAGE_BYTES
+    limit = call.count("bytes") or MESSAGE_PAGE_BYTES
     if limit > MAX_PAGE_BYTES:
         raise InvalidOption(f"bytes={limit}: give at most {MAX_PAGE_BYTES}")
     return Read(time_range, whose, after=None if after is None else decode_cursor(after)), limit
@@ -276,7 +276,7 @@ ROUTES: tuple[Route, ...] = (
                 "bytes",
                 "count",
                 f"Size of messages after which the page ends, bytes, 1 to {MAX_PAGE_BYTES}.",
-                default=PAGE_BYTES,
+                default=MESSAGE_PAGE_BYTES,
             ),
         ),
         CONTENT_TYPE,

@@ -11,7 +11,7 @@ from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.overview.timeline.lanes import Lane, Picture, RunSpan, Timeline, View
 from cassandra_ros.topics.overview.timeline.time_cells import (
-    MAX_CELLS,
+    MAX_TIMELINE_CELLS,
     Scale,
     runs_of_cells,
     time_ranges_of_cells,
@@ -121,7 +121,10 @@ ROUTES: tuple[Route, ...] = (
         (
             *WHOLE_RANGE,
             Parameter(
-                "pixels", "count", f"Maximum number of cells, 1 to {MAX_CELLS}.", default=_PIXELS
+                "pixels",
+                "count",
+                f"Maximum number of cells, 1 to {MAX_TIMELINE_CELLS}.",
+                default=_PIXELS,
             ),
             TOPICS,
             NODES,

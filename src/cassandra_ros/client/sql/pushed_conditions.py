@@ -128,7 +128,7 @@ def _common(one: frozenset[str] | None, other: frozenset[str] | None) -> frozens
     return one & other
 
 
-EVERYTHING = PushedRead()
+UNBOUNDED_READ = PushedRead()
 
 
 def pushed_reads(
@@ -146,7 +146,7 @@ def pushed_reads(
         reads = _reads(tree, columns, evaluate)
     except (errors.OptimizeError, RecursionError):  # DuckDB says what is wrong, if it is
         reads = {}
-    return {name: _any_of(reads.get(name) or [EVERYTHING]) for name in columns}
+    return {name: _any_of(reads.get(name) or [UNBOUNDED_READ]) for name in columns}
 
 
 def _reads(
@@ -165,7 +165,7 @@ def _reads(
 
 def _all_of(reads: Sequence[PushedRead]) -> PushedRead:
     """Return what is read if all hold."""
-    return reduce(PushedRead.both, reads, EVERYTHING)
+    return reduce(PushedRead.both, reads, UNBOUNDED_READ)
 
 
 def _any_of(reads: Sequence[PushedRead]) -> PushedRead:
@@ -189,13 +189,15 @@ class _ConditionFinder:
         }
         where = select.args.get("where") if isinstance(select, exp.Select) else None
         if where is None or self._pushes_nothing(select, sources.values()):
-            yield from ((s.name, EVERYTHING) for s in sources.values() if s.name in self._columns)
+            yield from (
+                (s.name, UNBOUNDED_READ) for s in sources.values() if s.name in self._columns
+            )
             return
         names = {alias: _Names(self, alias, sources, scope, select) for alias in sources}
         # What holds for each row of the result, as far as the row has one of the table.
         holds = {alias: self._where_bounds(where.this, names[alias]) for alias in sources}
         shifting = self._shifting_tables(select)
-        reads = {a: EVERYTHING if a in shifting else read for a, read in holds.items()}
+        reads = {a: UNBOUNDED_READ if a in shifting else read for a, read in holds.items()}
         for join in self._comparing_joins(select):
             alias = join.this.alias_or_name
             if alias in names:
@@ -287,7 +289,7 @@ class _ConditionFinder:
         if isinstance(node, exp.Between):
             low = self._comparison_bounds("GTE", node.this, node.args["low"], names)
             high = self._comparison_bounds("LTE", node.this, node.args["high"], names)
-            return (low or EVERYTHING).both(high or EVERYTHING)
+            return (low or UNBOUNDED_READ).both(high or UNBOUNDED_READ)
         if isinstance(node, exp.In) and node.expressions and not node.args.get("query"):
             parts = [
                 self._comparison_bounds("EQ", node.this, value, names) for value in node.expressions
@@ -411,7 +413,7 @@ def _implied_bounds(
 ) -> PushedRead:
     """Return what ``column operator joined`` says of a column, if ``read`` holds for the other."""
     if column.kind != joined.kind:
-        return EVERYTHING
+        return UNBOUNDED_READ
     if column.kind == "key":
         low, high = read.time_range
         return PushedRead(
@@ -421,7 +423,7 @@ def _implied_bounds(
         return PushedRead(nodes=read.nodes)
     if operator == "EQ" and column.kind == "run":
         return PushedRead(runs=read.runs)
-    return EVERYTHING
+    return UNBOUNDED_READ
 
 
 def _bounds(column: ComparableColumn, operator: str, value: Any) -> PushedRead | None:

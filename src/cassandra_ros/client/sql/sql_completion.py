@@ -9,7 +9,7 @@ from typing import Callable, Iterator, Sequence
 
 from cassandra_ros.client.sql.event_names import EVENT, has_event_field
 from cassandra_ros.client.sql.listed_tables import LISTED
-from cassandra_ros.client.sql.sql_statement import MAX_TEXT
+from cassandra_ros.client.sql.sql_statement import MAX_STATEMENT_CHARACTERS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.arrays.arrow_types import OWN_COLUMNS, ArrowField, ColumnNames, fields_of
 from cassandra_ros.query.tree.statement_completion import Offer, Offers
@@ -51,7 +51,7 @@ def complete_sql(
         topics: Names of the topics.
         definitions: See DefinitionsOf.
     """
-    cursor = max(0, min(cursor, len(text), MAX_TEXT))
+    cursor = max(0, min(cursor, len(text), MAX_STATEMENT_CHARACTERS))
     before = text[:cursor]
     quoted = before.count('"') % 2 == 1
     if before.count("'") % 2:

@@ -16,7 +16,7 @@ from cassandra_ros.client.sql.duck_database import CONSTANT, MEMORY, DuckDatabas
 from cassandra_ros.client.sql.event_names import EVENT
 from cassandra_ros.client.sql.frame_source import FrameSource
 from cassandra_ros.client.sql.listed_tables import LISTED, listed_source
-from cassandra_ros.client.sql.pushed_conditions import EVERYTHING, pushed_reads
+from cassandra_ros.client.sql.pushed_conditions import UNBOUNDED_READ, pushed_reads
 from cassandra_ros.client.sql.python_values import python_rows
 from cassandra_ros.client.sql.sql_explanation import SqlExplanation, explain_source
 from cassandra_ros.client.sql.sql_statement import Params, SqlStatement, TableName
@@ -25,7 +25,7 @@ from cassandra_ros.client.sql.table_sources import ListSource, TopicSource
 from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidQuery, TopicNotFound
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
-from cassandra_ros.printable import MOST_ROWS, html_table
+from cassandra_ros.printable import NOTEBOOK_ROWS, html_table
 from cassandra_ros.query.arrays.arrow_types import Wanted, load_arrow, struct_of, wanted_columns
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.field_names import nearest
@@ -155,21 +155,21 @@ class SqlResult:
 
     def __repr__(self) -> str:
         rows = self._first()
-        lines = [" | ".join(map(_value_text, row)) for row in (self.columns, *rows[:MOST_ROWS])]
-        if len(rows) > MOST_ROWS:
+        lines = [" | ".join(map(_value_text, row)) for row in (self.columns, *rows[:NOTEBOOK_ROWS])]
+        if len(rows) > NOTEBOOK_ROWS:
             lines.append("…")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         rows = self._first()
-        shown = [list(map(_value_text, row)) for row in rows[:MOST_ROWS]]
+        shown = [list(map(_value_text, row)) for row in rows[:NOTEBOOK_ROWS]]
         return html_table(self.columns, shown, of=len(rows))
 
     def _first(self) -> list[tuple[Any, ...]]:
         """Return the rows that are shown, and one more."""
         rows = iter(self)
         try:
-            return list(islice(rows, MOST_ROWS + 1))
+            return list(islice(rows, NOTEBOOK_ROWS + 1))
         finally:
             rows.close()  # type: ignore[attr-defined]
 
@@ -298,7 +298,7 @@ class _Run:
 
         reads = pushed_reads(self._statement.tree, columns, value)
         for name, source in topics.items():
-            source.pushed = reads.get(name, EVERYTHING)
+            source.pushed = reads.get(name, UNBOUNDED_READ)
 
     def _look(self) -> None:
         if self._stopped:

@@ -19,7 +19,7 @@ from cassandra_ros.messages.stamps import is_time, iso_time, length_object_ns, t
 Params = Union[Sequence[Any], Mapping[str, Any]]
 """Values for ``?`` in order, or for ``$name`` by name."""
 
-MAX_TEXT = 64 * 1024
+MAX_STATEMENT_CHARACTERS = 64 * 1024
 """Maximum length of a statement, characters."""
 TABLE_FUNCTIONS = {"range", "generate_series", "unnest", "tf"}
 """Functions that may stand in FROM. All others could read files."""
@@ -69,8 +69,10 @@ class SqlStatement:
     def __init__(self, text: str, params: Params = ()) -> None:
         if not isinstance(text, str):
             raise InvalidQuery(repr(text)[:200], 0, "a statement is text")
-        if len(text) > MAX_TEXT:
-            raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_TEXT} characters")
+        if len(text) > MAX_STATEMENT_CHARACTERS:
+            raise InvalidQuery(
+                text[:200], 0, f"a statement has at most {MAX_STATEMENT_CHARACTERS} characters"
+            )
         self._glot = load_parser()
         self.text = self._number_parameters(text)
         self.params = _params(text, params)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from cassandra_ros.client.sql.event_names import EVENT, EventNames, has_event_field
-from cassandra_ros.client.sql.pushed_conditions import EVERYTHING, PushedRead
+from cassandra_ros.client.sql.pushed_conditions import UNBOUNDED_READ, PushedRead
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
 from cassandra_ros.messages.wire.zones import zone_map
@@ -82,7 +82,7 @@ class TopicSource:
             kind = self.schema.arrow.list_(self.schema.arrow.string())
             place = len(self.schema.own)
             self.columns = self.columns.insert(place, self.schema.arrow.field(EVENT, kind))
-        self.pushed: PushedRead = EVERYTHING
+        self.pushed: PushedRead = UNBOUNDED_READ
         self.messages = 0
         self.choosers: list[Pushdown] = []
         self.error: BaseException | None = None

@@ -4,7 +4,7 @@
 
 Schema and channel follow MCAP's profile ``ros1``. The other fields of the connection header are the
 metadata of the channel. If header or number cannot be computed from these, they are stored in two
-metadata fields of our own, see HEADER and NUMBER.
+metadata fields of our own, see HEADER_FIELD and NUMBER.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cassandra_ros.messages.connection_header import (
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.metadata import ANY_MD5
 
-HEADER = "cassandra_ros.header"
+HEADER_FIELD = "cassandra_ros.header"
 """Name of the metadata field with the offset of the message definition in the header, and the
 header without the definition in base64: ``20:EAAA…``."""
 NUMBER = "cassandra_ros.number"
@@ -59,7 +59,7 @@ def to_channel(connection: Connection) -> ChannelText:
         type_name = type_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     text = ChannelText(type_name, definition, metadata)
     if _header(connection.topic, text) != connection.header:
-        metadata[HEADER] = f"{offset}:{base64.b64encode(header).decode('ascii')}"
+        metadata[HEADER_FIELD] = f"{offset}:{base64.b64encode(header).decode('ascii')}"
     return text
 
 
@@ -67,7 +67,7 @@ def to_connection(channel: Channel, schema: Schema | None) -> Connection:
     """Return the connection of a ROS 1 channel.
 
     Raises:
-        BagError: The metadata fields HEADER or NUMBER are damaged, or the header.
+        BagError: The metadata fields HEADER_FIELD or NUMBER are damaged, or the header.
     """
     connection = unchecked_connection(channel, schema)
     check_header(connection.header, _place(channel))
@@ -78,7 +78,7 @@ def unchecked_connection(channel: Channel, schema: Schema | None, where: str = "
     """Return the connection of a ROS 1 channel, also of a publisher with an odd header.
 
     Raises:
-        BagError: The metadata fields HEADER or NUMBER are damaged.
+        BagError: The metadata fields HEADER_FIELD or NUMBER are damaged.
     """
     place = _place(channel, where)
     text = ChannelText("", b"", channel.metadata)
@@ -86,13 +86,15 @@ def unchecked_connection(channel: Channel, schema: Schema | None, where: str = "
         text = ChannelText(schema.name, schema.data, channel.metadata)
     try:
         header = _header(channel.topic, text)
-        if HEADER in channel.metadata:
-            header = _kept_header(channel.metadata[HEADER], text.definition)
+        if HEADER_FIELD in channel.metadata:
+            header = _kept_header(channel.metadata[HEADER_FIELD], text.definition)
         number = int(channel.metadata.get(NUMBER, channel.id))
         if not 0 <= number < 2**32:
             raise ValueError(f"{number} is out of range")
     except ValueError as exc:
-        raise BagError(f"{place} is damaged: its metadata {HEADER} or {NUMBER}: {exc}") from exc
+        raise BagError(
+            f"{place} is damaged: its metadata {HEADER_FIELD} or {NUMBER}: {exc}"
+        ) from exc
     return Connection(channel.topic, header, number)
 
 
@@ -114,7 +116,7 @@ def why_foreign(channel: Channel, schema: Schema | None) -> str:
 def _header(topic: str, text: ChannelText) -> bytes:
     """Build the connection header of a channel; its fields are sorted as in roscpp."""
     fields: dict[str, str | bytes] = {"topic": topic, "type": text.type, **text.metadata}
-    for name in (HEADER, NUMBER):
+    for name in (HEADER_FIELD, NUMBER):
         fields.pop(name, None)
     latching = fields.get("latching")
     if isinstance(latching, str):

@@ -63,7 +63,7 @@ _FOOTER_BYTES = 20
 _READ_BYTES = 1 << 20
 _HALF = 2**63
 """Half of the range of the times in the format, ns."""
-MAX_TEXT_BYTES = 1 << 24
+MAX_DESCRIPTION_BYTES = 1 << 24
 """Maximum size of a record that describes the file (header, schema, channel, statistics), bytes.
 Real ones have at most some 100 KB: the definition of a message."""
 Parsed = TypeVar("Parsed", Channel, Footer, Header, Metadata, Schema, Statistics)

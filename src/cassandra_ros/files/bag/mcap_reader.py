@@ -359,11 +359,11 @@ class McapReader(MessageFile):
 
     def _text(self, record: McapRecord) -> bytes:
         """Read a record that describes the file."""
-        if record.stop - record.start > mcapformat.MAX_TEXT_BYTES:
+        if record.stop - record.start > mcapformat.MAX_DESCRIPTION_BYTES:
             raise BagError(
                 f"{self.path} is damaged: the record of kind {record.kind} at byte {record.start} "
-                f"has {record.stop - record.start} bytes; over {mcapformat.MAX_TEXT_BYTES} bytes "
-                "are not believed"
+                f"has {record.stop - record.start} bytes; over {mcapformat.MAX_DESCRIPTION_BYTES} "
+                "bytes are not believed"
             )
         return self._bytes(record)
 

@@ -13,10 +13,17 @@ from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_, Enc
 from cassandra_ros.messages.tree.tree_encoder import plain_bytes, tree_encoder
 from cassandra_ros.messages.tree.tree_reader import Budget, MessageTree, tree_reader
 
-MAX_TEXT_BYTES = 64 * 1024
+MAX_COLUMN_BYTES = 64 * 1024
+"""Maximum size of the text of a message in its column, bytes; a longer one is shortened."""
 
-_WHOLE = (MAX_TEXT_BYTES, MAX_TEXT_BYTES)
-_SHORTENED = ((256, MAX_TEXT_BYTES), (16, MAX_TEXT_BYTES), (0, MAX_TEXT_BYTES), (0, 256), (0, 0))
+_WHOLE = (MAX_COLUMN_BYTES, MAX_COLUMN_BYTES)
+_SHORTENED = (
+    (256, MAX_COLUMN_BYTES),
+    (16, MAX_COLUMN_BYTES),
+    (0, MAX_COLUMN_BYTES),
+    (0, 256),
+    (0, 0),
+)
 """Pairs of maximum array length (elements) and string size (bytes), tried until the text fits."""
 
 
@@ -45,15 +52,15 @@ class TextFormat(CassandraTopic_):
 
         None: the bytes are malformed, or even the shortest text is too long.
         """
-        limits = _SHORTENED if len(wire) > MAX_TEXT_BYTES else (_WHOLE, *_SHORTENED)
+        limits = _SHORTENED if len(wire) > MAX_COLUMN_BYTES else (_WHOLE, *_SHORTENED)
         for elements, length in limits:
-            budget = Budget(MAX_TEXT_BYTES, self.BYTE_CHARACTERS, elements, length)
+            budget = Budget(MAX_COLUMN_BYTES, self.BYTE_CHARACTERS, elements, length)
             try:
                 tree = self._reader.read(wire, budget)
                 text = None if tree is None else self.print_tree(tree)
             except (CorruptMessage, RecursionError):
                 return None
-            if tree is not None and text is not None and len(text.encode()) <= MAX_TEXT_BYTES:
+            if tree is not None and text is not None and len(text.encode()) <= MAX_COLUMN_BYTES:
                 return text, tree, budget.shortened
         return None
 
@@ -102,7 +109,7 @@ class ParsedFormat(TextFormat):
         if raw is not None:
             return raw
         text, row = columns[0], f"a row of {self.msg_type}"
-        if text is None or len(text) > MAX_TEXT_BYTES:
+        if text is None or len(text) > MAX_COLUMN_BYTES:
             raise CorruptMessage(f"{row} in format {self.NAME} has no text of at most 64 KiB")
         try:
             tree = self.parse(text.decode())

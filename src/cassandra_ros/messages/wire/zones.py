@@ -30,7 +30,8 @@ from cassandra_ros.messages.wire.message_stacks import (
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MAX_FIELDS = 64
-MAX_TEXT_BYTES = 64
+MAX_BOUND_TEXT_BYTES = 64
+"""Maximum size of a text that is stored as the minimum or maximum of a block, bytes."""
 MAX_WALKED = 256
 """Maximum number of values of a message that is measured alone. Beyond it, numpy is faster."""
 LOW, HIGH = "_min.", "_max."
@@ -207,12 +208,12 @@ def _text_ends(values: Sequence[str]) -> _Ends:
 
 def _below(text: str) -> bytes:
     raw = text.encode("utf-8")
-    return raw if len(raw) <= MAX_TEXT_BYTES else _head(raw)
+    return raw if len(raw) <= MAX_BOUND_TEXT_BYTES else _head(raw)
 
 
 def _above(text: str) -> bytes | None:
     raw = text.encode("utf-8")
-    if len(raw) <= MAX_TEXT_BYTES:
+    if len(raw) <= MAX_BOUND_TEXT_BYTES:
         return raw
     head = _head(raw)
     # No text with this beginning is greater, unless it continues with the greatest character.
@@ -220,7 +221,7 @@ def _above(text: str) -> bytes | None:
 
 
 def _head(raw: bytes) -> bytes:
-    return raw[: MAX_TEXT_BYTES - len(_LAST)].decode("utf-8", "ignore").encode("utf-8")
+    return raw[: MAX_BOUND_TEXT_BYTES - len(_LAST)].decode("utf-8", "ignore").encode("utf-8")
 
 
 zone_map = lru_cache(maxsize=512)(ZoneMap)

@@ -34,9 +34,9 @@ except ImportError as exc:
         "use that Python, and install ros-noetic-tf2-py, or python3-tf2 on Debian"
     ) from exc
 
-REACH_NS = 100_000 * SECOND_NS
+BUFFER_REACH_NS = 100_000 * SECOND_NS
 """Maximum distance from the base of a time that tf2 gets, ns (about a day)."""
-_BASE_NS = 2 * REACH_NS
+_BASE_NS = 2 * BUFFER_REACH_NS
 _AUTHORITY = "cassandra_ros"
 _ERRORS = {
     tf2_py.LookupException: LookupException,
@@ -61,7 +61,7 @@ def look_up(
         fixed: Transforms that are valid at all times.
         explain: Returns the text of an error; tf2's own text would name the shifted times.
     """
-    core = tf2_py.BufferCore(Stamp.from_ns(2 * REACH_NS + SECOND_NS) - Stamp.from_ns(0))
+    core = tf2_py.BufferCore(Stamp.from_ns(2 * BUFFER_REACH_NS + SECOND_NS) - Stamp.from_ns(0))
     distances = [0 if time is None else sample.stamp - time for sample in moving]
     longest: Counter[str] = Counter()
     for sample, distance in zip(moving, distances):
@@ -79,11 +79,11 @@ def look_up(
 
 
 def _shorten(distance: int, longest: int) -> int:
-    """Scale a distance so that the longest one of its frame is within REACH_NS."""
-    if longest <= REACH_NS or not distance:
+    """Scale a distance so that the longest one of its frame is within BUFFER_REACH_NS."""
+    if longest <= BUFFER_REACH_NS or not distance:
         return distance
     # Interpolation uses only the ratio of the distances of a frame's two transforms.
-    near = max(1, round(abs(distance) * (REACH_NS / longest)))
+    near = max(1, round(abs(distance) * (BUFFER_REACH_NS / longest)))
     return near if distance > 0 else -near
 
 

@@ -27,7 +27,7 @@ from cassandra_ros.read import Read, TimeRange, Whose, Writers
 
 _log = logging.getLogger(__name__)
 
-TRANSFORMS = message_kind("94810edda583a504dfda3829e70d7eec", "", ("transforms[]",))
+TRANSFORM_KIND = message_kind("94810edda583a504dfda3829e70d7eec", "", ("transforms[]",))
 """Kind of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
 _HEAD = ("header.stamp", "header.frame_id", "child_frame_id")
 _MOVED = tuple(f"transform.translation.{c}" for c in "xyz")
@@ -214,7 +214,7 @@ class TransformTopic:
     def _extractor(self, table: Table) -> tuple[Extractor, Extractor]:
         if table.name not in self._extractors:
             definition = table.definition
-            if definition is None or definition.kind != TRANSFORMS:
+            if definition is None or definition.kind != TRANSFORM_KIND:
                 raise TypeMismatch(
                     f"topic {self._topic.name} holds {table.msg_type}, no transforms: name the "
                     "topics of tf2_msgs/TFMessage with tf= and tf_static="

@@ -23,7 +23,7 @@ CERTAIN = 4
 """Number of different messages in the same order that prove an overlap, whatever their times."""
 FEW = 8
 """Number of pairs below which times must agree within half of the publisher's period."""
-NEAREST = 512
+COMPARED_OVERLAPS = 512
 """Maximum number of overlaps that are compared by time."""
 PAIRS = 64
 """Number of pairs at the end of an overlap whose median time difference is its cost. One pair alone
@@ -109,7 +109,7 @@ class _Overlap(NamedTuple):
 def _overlaps(
     stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint]
 ) -> list[_Overlap]:
-    """Return the possible overlaps; if there are more than NEAREST, those with the best times."""
+    """Return the possible overlaps, of many the COMPARED_OVERLAPS with the best times."""
     numbers: dict[bytes, int] = {}
     ours = [numbers.setdefault(mark.digest, len(numbers)) for mark in live]
     theirs = [numbers.setdefault(mark.digest, len(numbers)) for mark in stored]
@@ -123,9 +123,9 @@ def _overlaps(
         count = min(len(stored) - k, len(live) - j)
         return abs(stored[k + count - 1].t - live[j + count - 1].t)
 
-    if len(places) > NEAREST:
+    if len(places) > COMPARED_OVERLAPS:
         # By the last pair: a subscriber that reads the past gets its first messages late.
-        places = sorted(places, key=last_apart)[:NEAREST]
+        places = sorted(places, key=last_apart)[:COMPARED_OVERLAPS]
     return [_overlap(stored, live, k, j) for k, j in places]
 
 

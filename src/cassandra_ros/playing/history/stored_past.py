@@ -13,7 +13,7 @@ from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import StoredRow
 
-FRESH_SEC = 25.0
+RUNNING_REPORT_SEC = 25.0
 """Maximum age of a bucket's last report for its writer to count as running, s.
 
 A writer reports on its open buckets every 10 s.
@@ -90,7 +90,7 @@ class StoredPast:
             buckets = directory.buckets(table.name, table.metadata, first, last, nodes)
             if any(
                 not row.closed
-                and row.age_sec < FRESH_SEC
+                and row.age_sec < RUNNING_REPORT_SEC
                 and (writers is None or row.writer in writers)
                 for row in buckets
             ):

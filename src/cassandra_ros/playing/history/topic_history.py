@@ -36,9 +36,9 @@ from cassandra_ros.topics.stored_row import MessageIdentity, StoredRow
 
 _log = logging.getLogger(__name__)
 
-WINDOW_NS = 2 * SECOND_NS
+COMPARED_WINDOW_NS = 2 * SECOND_NS
 """Age before the first live message above which a row is yielded without comparing it, ns."""
-REACH_NS = 5 * SECOND_NS
+PUBLISHER_REACH_NS = 5 * SECOND_NS
 """How far after its first live message a publisher's stored messages are compared with it, ns."""
 FAR_NS = 60 * SECOND_NS
 """The same after half of the patience, in case the recorder's clock is ahead of ours, ns."""
@@ -212,7 +212,7 @@ class History:
 
     def _old(self) -> Iterator[HistoryMessage]:
         """Yield the rows that are clearly older than the live messages."""
-        high = self._queue.began_ns - WINDOW_NS
+        high = self._queue.began_ns - COMPARED_WINDOW_NS
         heads = {who: w.messages[0].mark for who, w in self._queue.waiting().items()}
         last = None
         for row in self._past.rows(self._low, high):
@@ -226,7 +226,7 @@ class History:
             last = row.received
             self._make_room(last)
         if last is not None:
-            self._low = max(self._low, last - WINDOW_NS)
+            self._low = max(self._low, last - COMPARED_WINDOW_NS)
 
     def _make_room(self, last: int) -> None:
         """Forget all yielded rows but the last ones: those of days would not fit into memory."""
@@ -287,7 +287,7 @@ class History:
         now = time.monotonic()
         if self._begun_sec < 0:
             self._begun_sec = now
-        self._read_end(FAR_NS if now - self._begun_sec > self._patience / 2 else REACH_NS)
+        self._read_end(FAR_NS if now - self._begun_sec > self._patience / 2 else PUBLISHER_REACH_NS)
         waiting = self._queue.waiting()
         if self._queue.epoch != self._epoch:
             return None
@@ -369,7 +369,7 @@ class History:
     def _go_over(self, bounds: Mapping[_WriterStream, _Arrival]) -> None:
         """Remember the live messages that may also be read from the store later."""
         self._over = dict(bounds)
-        last = max((bound[0] for bound in bounds.values()), default=0) + REACH_NS
+        last = max((bound[0] for bound in bounds.values()), default=0) + PUBLISHER_REACH_NS
         for who, live in self._queue.waiting().items():
             sure = _is_stamped(live.messages[0].header.get("message_definition", ""))
             marks = [message.mark for message in live.messages if message.t <= last]

@@ -37,7 +37,7 @@ from typing import (
 import numpy
 
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
+from cassandra_ros.messages.index_field import MAX_INDEXED_TEXT_BYTES
 from cassandra_ros.messages.wire.cql_values import encode_value
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.messages.wire.zones import HIGH, LOW, zone_map
@@ -521,7 +521,7 @@ def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
     index = table.index_fields.get(ref.column)
     if index is None:
         return ServerCheck(leaf, filtered)
-    shadow = ServerColumn(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
+    shadow = ServerColumn(index.shadow, index.element_type, index.many, MAX_INDEXED_TEXT_BYTES)
     return ServerCheck(leaf, filtered, index.shadow, _ways(shadow, operator, values, MAX_QUERIES))
 
 

@@ -302,7 +302,7 @@ def _join_checks(checks: list[Check], decisive: bool) -> Check:
 KEY_PLACE, NODE_PLACE, RUN_PLACE, TIME_PLACE = 0, 1, 2, 3
 OWN_WIDTH = 4
 """Number of values of a row that are not fields."""
-COUNTED = "int64"
+COUNT_KIND = "int64"
 """Kind of a count, which does not depend on the counted values."""
 _BESIDE = -1
 """Largest mark of errors that a valid use in another table cannot excuse; marks go downwards."""
@@ -404,7 +404,7 @@ class NameResolver:
         if function in ("min", "max"):
             return [column._replace(name=name)]
         total = "float64" if column.kind.startswith("float") else INTEGER
-        kinds = {"count": COUNTED, "avg": "float64", "sum": total}
+        kinds = {"count": COUNT_KIND, "avg": "float64", "sum": total}
         return [column._replace(name=name, kind=kinds[function], ref=None)]
 
     def _output(self, term: Term, array: bool | None = False) -> ResultColumn | None:

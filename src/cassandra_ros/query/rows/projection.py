@@ -38,7 +38,7 @@ from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.name_resolution import (
-    COUNTED,
+    COUNT_KIND,
     KEY_PLACE,
     OWN_WIDTH,
     Check,
@@ -543,7 +543,7 @@ def _show_of(output: ResultColumn) -> Get | None:
     None = unchanged, or KEY, shown as the row's key.
     """
     if output.place == KEY_PLACE:
-        return _itself if output.kind == COUNTED else None
+        return _itself if output.kind == COUNT_KIND else None
     return _SHOWS.get(output.kind)
 
 

@@ -26,8 +26,8 @@ from lark import Lark, Token, Transformer, v_args
 
 from cassandra_ros.query.tree.syntax import (
     AGGREGATES,
+    DURATION_UNITS_NS,
     QUANTIFIERS,
-    UNITS,
     Aggregate,
     All,
     Call,
@@ -325,7 +325,7 @@ def _integer(token: Token) -> int:
 def _duration(token: Token) -> DurationNs:
     if len(token) > MAX_DIGITS:
         raise StatementError(_at(token), f"a duration has at most {MAX_DIGITS} digits")
-    terms = (Decimal(number) * UNITS[unit] for number, unit in _UNIT.findall(token))
+    terms = (Decimal(number) * DURATION_UNITS_NS[unit] for number, unit in _UNIT.findall(token))
     with localcontext() as context:
         context.prec = MAX_DIGITS + 20
         ns = int(sum(terms, Decimal()).to_integral_value())

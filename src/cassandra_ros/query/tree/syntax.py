@@ -39,7 +39,7 @@ class DurationNs(int):
     """A duration in a statement, as ``1h30m``: ns."""
 
 
-UNITS = {
+DURATION_UNITS_NS = {
     **{"d": 86_400 * SECOND_NS, "h": 3600 * SECOND_NS, "m": 60 * SECOND_NS, "s": SECOND_NS},
     **{"ms": 10**6, "us": 10**3, "ns": 1},
 }
@@ -51,8 +51,10 @@ def value_text(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, DurationNs):
-        unit = next(name for name, ns in UNITS.items() if ns == 1 or (value and value % ns == 0))
-        return f"{value // UNITS[unit]}{unit}"
+        unit = next(
+            name for name, ns in DURATION_UNITS_NS.items() if ns == 1 or (value and value % ns == 0)
+        )
+        return f"{value // DURATION_UNITS_NS[unit]}{unit}"
     return f"'{value[:40]}'" if isinstance(value, str) else str(value)[:40]
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Iterator, NamedTuple, Sequence
 
-from cassandra_ros.store.blocks.block_row import HEADER, BlockRow, read_block
+from cassandra_ros.store.blocks.block_row import HEADER_COLUMNS, BlockRow, read_block
 from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.requests import PagedRead, RawRow
@@ -14,7 +14,7 @@ from cassandra_ros.store.connection.requests import PagedRead, RawRow
 PAGE_BLOCKS = 5000
 BOUNDS_BLOCKS_AT_ONCE = 16
 """Maximum number of blocks that one statement fetches by their keys."""
-_WIDTH = HEADER.count(",") + 1
+_WIDTH = HEADER_COLUMNS.count(",") + 1
 
 
 class BlockZones(NamedTuple):
@@ -33,7 +33,7 @@ class BlockZones(NamedTuple):
 
 def ask_bounds(bucket: BucketRead, columns: Sequence[str]) -> PagedRead:
     """Request the headers of the blocks of a bucket, with some of their zone columns."""
-    return bucket.ask(", ".join([HEADER, *map(quote_name, columns)]), PAGE_BLOCKS)
+    return bucket.ask(", ".join([HEADER_COLUMNS, *map(quote_name, columns)]), PAGE_BLOCKS)
 
 
 def read_bounds(bucket: BucketRead, request: PagedRead) -> Iterator[BlockZones]:

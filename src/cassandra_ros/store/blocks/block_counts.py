@@ -10,7 +10,7 @@ import numpy as np
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.store.blocks.block_row import (
-    HEADER,
+    HEADER_COLUMNS,
     Block,
     BlockRow,
     ask_blocks,
@@ -47,7 +47,7 @@ def headers(
     if high is not None:
         ends[1] = high, MAX_SEQ
     request = table.select_range(
-        HEADER,
+        HEADER_COLUMNS,
         table.place(node, bucket),
         (ends[0], ends[1]),
         terms=tuple(terms),

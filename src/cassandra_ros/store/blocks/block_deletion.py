@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import Collection, Mapping, Sequence
 
 from cassandra_ros.store.blocks.block_counts import opened, positions
-from cassandra_ros.store.blocks.block_row import HEADER, BlockRow, ask_blocks, read_block
+from cassandra_ros.store.blocks.block_row import HEADER_COLUMNS, BlockRow, ask_blocks, read_block
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.tables.row_table import BlockKey, Order, RowTable, decode_long
 
@@ -62,7 +62,7 @@ class BlockDeletion:
     def _clear(self, keys: Sequence[Order]) -> None:
         """Delete blocks that have no messages left, and marks without a block."""
         place, empty, alone = self._table.place(*self._where), [], []
-        for values in ask_blocks(self._table, place, keys, HEADER).page():
+        for values in ask_blocks(self._table, place, keys, HEADER_COLUMNS).page():
             row = read_block(self._table, values)
             if row is None:
                 alone.append((decode_long(values[0]), decode_long(values[1])))

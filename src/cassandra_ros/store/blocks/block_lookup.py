@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import COUNTER_BITS, Position, writer_of
-from cassandra_ros.store.blocks.block_row import WHOLE, Block, read_blocks
+from cassandra_ros.store.blocks.block_row import WHOLE_BLOCK_COLUMNS, Block, read_blocks
 from cassandra_ros.store.connection.requests import PagedRead
 from cassandra_ros.store.tables.row_table import (
     MAX_SEQ,
@@ -34,7 +34,7 @@ def ask_over(table: RowTable, node: str, t: int, writer: int | None = None) -> P
         seqs = writer << COUNTER_BITS, ((writer + 1) << COUNTER_BITS) - 1
     bounds = (first, t, *seqs, t)
     values = (*table.place(node, bucket), *map(encode_long, bounds))
-    return table.send(bind(table.select_over(WHOLE), values, _PAGE_BLOCKS))
+    return table.send(bind(table.select_over(WHOLE_BLOCK_COLUMNS), values, _PAGE_BLOCKS))
 
 
 def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> PagedRead:

@@ -27,8 +27,10 @@ from cassandra_ros.store.tables.row_table import (
     encode_int,
 )
 
-HEADER = '"_t", "_seq", "_conn", "_size", "_last", "_n", "_crc", "_nchunks", "_odd", "_gone"'
-WHOLE = f'{HEADER}, "_data"'
+HEADER_COLUMNS = (
+    '"_t", "_seq", "_conn", "_size", "_last", "_n", "_crc", "_nchunks", "_odd", "_gone"'
+)
+WHOLE_BLOCK_COLUMNS = f'{HEADER_COLUMNS}, "_data"'
 _FIXED = struct.Struct(">qqqiqi")
 _PAIR_BYTES = 8
 _new_row = partial(tuple.__new__, TableRow)
@@ -77,7 +79,7 @@ class BlockRow(NamedTuple):
 
 
 def read_block(table: RowTable, values: RawRow) -> BlockRow | None:
-    """Return a block from the values of HEADER or WHOLE; None if the row is not a block.
+    """Return a block from the values of HEADER_COLUMNS or WHOLE_BLOCK_COLUMNS; None if it is none.
 
     Such a row remains when a message is deleted from a block that was deleted or has expired.
 
@@ -120,7 +122,10 @@ _NONE: Longs = np.empty(0, np.int64)
 
 
 def ask_blocks(
-    table: RowTable, place: tuple[bytes, bytes], keys: Sequence[Order], names: str = WHOLE
+    table: RowTable,
+    place: tuple[bytes, bytes],
+    keys: Sequence[Order],
+    names: str = WHOLE_BLOCK_COLUMNS,
 ) -> PagedRead:
     """Request blocks by their keys, in one page; blocks deleted meanwhile are left out."""
     size = encode_int(_PAIR_BYTES)

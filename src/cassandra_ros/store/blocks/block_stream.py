@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage, SchemaConflict
 from cassandra_ros.store.blocks.block_row import (
-    HEADER,
-    WHOLE,
+    HEADER_COLUMNS,
+    WHOLE_BLOCK_COLUMNS,
     Block,
     BlockRow,
     ask_blocks,
@@ -289,10 +289,10 @@ class Headers:
         if bucket.filters is not None:
             self._asked = self._ask_filters(bucket.filters)
         else:
-            self._asked = [bucket.ask(HEADER, self._count)]
+            self._asked = [bucket.ask(HEADER_COLUMNS, self._count)]
         # Sent together with the headers, which saves a round trip.
         early = bucket.wanted and bucket.filters is None
-        self._early = bucket.ask(WHOLE, bucket.early) if early else None
+        self._early = bucket.ask(WHOLE_BLOCK_COLUMNS, bucket.early) if early else None
         self.more = bool(self._asked)
         self.last: Order | None = None
         """Key of the last block whose header was read."""
@@ -305,7 +305,10 @@ class Headers:
 
     def _ask_filters(self, filters: Sequence[Terms]) -> list[PagedRead]:
         try:
-            return [self._bucket.ask(HEADER, STREAM_PAGE_HEADERS, terms=terms) for terms in filters]
+            return [
+                self._bucket.ask(HEADER_COLUMNS, STREAM_PAGE_HEADERS, terms=terms)
+                for terms in filters
+            ]
         except SchemaConflict as exc:
             return self._ask_all(exc)
 
@@ -314,7 +317,7 @@ class Headers:
         topic = self._bucket.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
         self._filters = None
-        return [self._bucket.ask(HEADER, STREAM_PAGE_HEADERS)]
+        return [self._bucket.ask(HEADER_COLUMNS, STREAM_PAGE_HEADERS)]
 
     def read(self) -> list[BlockRow]:
         """Read the next page of headers."""
@@ -322,7 +325,7 @@ class Headers:
             return self._every()
         if not self._asked:
             self._count = min(STREAM_PAGE_HEADERS, GROWTH * self._count)
-            self._asked = [self._bucket.ask(HEADER, self._count, self._behind)]
+            self._asked = [self._bucket.ask(HEADER_COLUMNS, self._count, self._behind)]
         request = self._asked.pop()
         page: Sequence[RawRow] = next((p for p in request.pages(ahead=False) if p), ())
         self.more = bool(page) and request.more
@@ -571,7 +574,7 @@ class _Pages:
     def __init__(self, bucket: BucketRead) -> None:
         self._bucket = bucket
         self._count = max(1, bucket.page_bytes // BLOCK_BYTES)
-        self._asked: PagedRead | None = bucket.ask(WHOLE, self._count)
+        self._asked: PagedRead | None = bucket.ask(WHOLE_BLOCK_COLUMNS, self._count)
 
     def __iter__(self) -> Iterator[tuple[list[BlockRow], Order | None]]:
         """Yield blocks, and a key that all blocks of later pages lie after.
@@ -591,7 +594,7 @@ class _Pages:
                 mean = sum(block.size for block in blocks) // len(blocks) + 1
                 most = min(STREAM_PAGE_BLOCKS, GROWTH * self._count)
                 self._count = max(1, min(most, self._bucket.page_bytes // mean))
-            self._asked = self._bucket.ask(WHOLE, self._count, page[-1])
+            self._asked = self._bucket.ask(WHOLE_BLOCK_COLUMNS, self._count, page[-1])
             yield blocks, key_of(page[-1])
 
 

@@ -16,7 +16,7 @@ from cassandra_ros.store.blocks.block_row import ask_blocks
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import chunk_table_name
 from cassandra_ros.store.connection.requests import RawRow
-from cassandra_ros.store.tables.row_table import COUNTED, Order, RowTable, bind, decode_long
+from cassandra_ros.store.tables.row_table import COUNTED_COLUMNS, Order, RowTable, bind, decode_long
 
 ORPHAN_SEC = 3600
 """Minimum age of chunks that count as left over, s. No message is retried for this long."""
@@ -74,7 +74,7 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
 
 def rows_at(table: RowTable, place: tuple[bytes, bytes], key: Order) -> Sequence[RawRow]:
     """Return the counted columns of the row with a key; empty if it was deleted."""
-    return list(ask_blocks(table, place, [key], COUNTED).page())
+    return list(ask_blocks(table, place, [key], COUNTED_COLUMNS).page())
 
 
 def _has_row(table: RowTable, values: RawRow) -> bool:

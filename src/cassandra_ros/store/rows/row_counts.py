@@ -15,7 +15,13 @@ from cassandra_ros.store.blocks.block_counts import measure
 from cassandra_ros.store.blocks.block_stream import BucketRead, stream
 from cassandra_ros.store.connection.requests import RawRow
 from cassandra_ros.store.tables.directory import STALE_SEC, BucketRow, BucketTotals, Directory
-from cassandra_ros.store.tables.row_table import COUNTED, MAX_SEQ, MIN_SEQ, RowTable, decode_long
+from cassandra_ros.store.tables.row_table import (
+    COUNTED_COLUMNS,
+    MAX_SEQ,
+    MIN_SEQ,
+    RowTable,
+    decode_long,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +40,7 @@ def scan_keys(
         for message in stream(BucketRead(table, node, bucket, ends, bare=True)):
             yield message.t, message.seq, message.size, message.nchunks > 0, message.odd
         return
-    for row in _rows(table, node, bucket, low, high, COUNTED):
+    for row in _rows(table, node, bucket, low, high, COUNTED_COLUMNS):
         t, seq, size = map(decode_long, row[:3])
         yield t, seq, size, row[3] is not None, row[4] is not None
 
@@ -46,7 +52,7 @@ def scan_written(
 
     ``written`` is the server's write time, microseconds since 1970. Not for tables of blocks.
     """
-    for row in _rows(table, node, bucket, low, high, f'{COUNTED}, WRITETIME("_size")'):
+    for row in _rows(table, node, bucket, low, high, f'{COUNTED_COLUMNS}, WRITETIME("_size")'):
         t, seq, written = map(decode_long, (row[0], row[1], row[5]))
         yield t, seq, row[3] is not None, written
 

@@ -154,7 +154,7 @@ _OWN_TABLES = ("cr_node", "cr_bucket")
 _COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
 _ACTIVE_COLUMNS = "bucket, node, writer, entry, deleted, heartbeat, toTimestamp(now())"
 _EVER = (-(2**63), 2**63 - 1)
-MOST_SLOTS = 16
+UNLISTED_SLOTS = 16
 """Maximum number of slots that are read without a list of those that have buckets."""
 BucketKey = Tuple[str, str, int, int]
 """Table, node, bucket and writer: the key of a row of cr_bucket."""
@@ -387,7 +387,7 @@ class Directory:
 
     def _slots_between(self, table: str, first: int, last: int) -> Iterable[int]:
         """Return the slots in [first, last] that may have buckets of a table."""
-        if last - first < MOST_SLOTS:
+        if last - first < UNLISTED_SLOTS:
             return range(first, last + 1)
         if not self._is_made():
             return ()

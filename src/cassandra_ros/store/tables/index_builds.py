@@ -23,9 +23,9 @@ from cassandra_ros.store.tables.side_tables import SchemaLock
 
 _log = logging.getLogger(__name__)
 
-QUIET_SEC = 30.0
+MERGES_END_SEC = 30.0
 """How long to wait for merges that are in progress, s."""
-BUILD_SEC = 30.0
+BUILD_START_SEC = 30.0
 """How long Cassandra may take to begin to build an index, s."""
 PAUSE_SEC = 0.05
 _ENABLED = "enabled"
@@ -71,7 +71,7 @@ class IndexBuilds:
         """
         options = self._options()
         if options.pop(_ENABLED, "true") != "true":
-            self.await_builds(self.indexes(), BUILD_SEC)
+            self.await_builds(self.indexes(), BUILD_START_SEC)
             self._alter(options)
 
     @contextmanager
@@ -106,7 +106,7 @@ class IndexBuilds:
 
     def _await_quiet(self) -> str:
         """Wait until no node merges files of the table; return what is left after 30 s, or ''."""
-        deadline = time.monotonic() + QUIET_SEC
+        deadline = time.monotonic() + MERGES_END_SEC
         quiet = 0
         # A merge that was chosen just before merging was forbidden may be listed a moment later.
         while quiet < 2:

@@ -65,7 +65,7 @@ class IndexChanges:
         names = builds.indexes()
         if index in names:
             # The old index may miss rows. If its build is still waiting, it would run without it.
-            builds.await_builds(names, index_builds.BUILD_SEC)
+            builds.await_builds(names, index_builds.BUILD_START_SEC)
             builds.drop_index(index)
         builds.pause_merging()
         conflict = None

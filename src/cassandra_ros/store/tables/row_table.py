@@ -53,7 +53,7 @@ _INT = struct.Struct(">i")
 _OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
 _BLOCK = ("_last", "_n", "_data", "_crc", "_nchunks", "_odd", "_gone", "_nan")
 KEYS = '"_t", "_seq"'
-COUNTED = '"_t", "_seq", "_size", "_nchunks", "_odd"'
+COUNTED_COLUMNS = '"_t", "_seq", "_size", "_nchunks", "_odd"'
 _RANGE = 'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
 _ROW = 'AND "_t" = ? AND "_seq" = ?'
 _OLDER = "USING TIMESTAMP ? "
@@ -318,7 +318,9 @@ class RowTable:
         Args:
             more: Further columns, as CQL.
         """
-        names = ", ".join(['"_node", "_key"', COUNTED, *map(quote_name, self._received), *more])
+        names = ", ".join(
+            ['"_node", "_key"', COUNTED_COLUMNS, *map(quote_name, self._received), *more]
+        )
         return self._prepare(f"SELECT {names} FROM {self.qualified}")
 
     def select_shadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:

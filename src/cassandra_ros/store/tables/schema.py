@@ -88,7 +88,7 @@ _FEW_TABLES = 64
 """Maximum number of changed comments that are read one by one; more are read with all others."""
 _COMMENTS = "table_name, comment, writetime(comment)"
 _COLUMNS = "column_name, type"
-BUILD_SEC = 2.0
+NEW_TABLE_BUILD_SEC = 2.0
 """How long messages of a new table wait until Cassandra begins to build its indexes, s."""
 
 OWN_COLUMNS = {
@@ -351,7 +351,9 @@ class Schema:
         """List a table by its comment and let its files be merged, after its indexes were built."""
         merged, builds = True, self.index_builds(name, lock)
         try:
-            builds.await_builds({name + shadow for shadow in metadata.indexes.values()}, BUILD_SEC)
+            builds.await_builds(
+                {name + shadow for shadow in metadata.indexes.values()}, NEW_TABLE_BUILD_SEC
+            )
         except CassandraRosError as exc:
             # Not a reason to lose the messages that wait for the table.
             merged = False

@@ -40,9 +40,9 @@ TELL_SEC = 5.0
 """Time after which a program that waits for the schema lock says so, s."""
 _TRIES = 8
 CHANGES_A_RENEWAL = 8
-"""Number of DDL statements before which the lock is renewed, if it is older than FRESH_SEC. Even
-on a machine so busy that each takes some seconds they end long before the lock runs out."""
-FRESH_SEC = 1.0
+"""Number of DDL statements before which the lock is renewed, if it is older than LOCK_RENEWAL_SEC.
+Even on a machine so busy that each takes some seconds they end long before the lock runs out."""
+LOCK_RENEWAL_SEC = 1.0
 """Time after which the lock is renewed before further tables are made, s."""
 _SCHEMA = "schema"
 _LOCK = "cr_lock"
@@ -224,7 +224,7 @@ class SchemaLock:
             SchemaConflict: The lock ran out. Some statements may have been carried out.
         """
         for first in range(0, len(changes), CHANGES_A_RENEWAL):
-            if time.monotonic() - self._held_since > FRESH_SEC:
+            if time.monotonic() - self._held_since > LOCK_RENEWAL_SEC:
                 self.renew()
             self._cassandra.change_schema(changes[first : first + CHANGES_A_RENEWAL])
 

@@ -36,7 +36,7 @@ _S = TypeVar("_S")
 
 Topics = Mapping[str, Collection[str]]
 """Name of a store → names of the topics that are read there."""
-MOST_SLOTS = 64
+BOOK_SLOTS = 64
 """Maximum number of slots of a table, each of one robot, whose books are read; with more, all
 stores are read."""
 MOST_RANGES = 64
@@ -145,7 +145,7 @@ class FleetBooks:
                 for slot, node in catalog.keyspace.directory.nodes(table.name, *ends)
                 if nodes is None or node in nodes
             ]
-            if len(slots) <= MOST_SLOTS:
+            if len(slots) <= BOOK_SLOTS:
                 for slot, node in slots:
                     buckets = buckets_of.setdefault((table.name, node), _Buckets(copy))
                     self._compare(catalog, table.name, (slot, node), buckets)

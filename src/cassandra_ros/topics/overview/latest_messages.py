@@ -14,12 +14,12 @@ from cassandra_ros.topics.overview.latched_messages import LatchedFinder, Source
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
-TRANSFORMS = frozenset({"tf2_msgs/TFMessage", "tf/tfMessage"})
+TRANSFORM_TYPES = frozenset({"tf2_msgs/TFMessage", "tf/tfMessage"})
 """Types with a single message that holds only some of the frames."""
 TRANSFORMS_NS = SECOND_NS
 """How far back to look for transforms, ns. A node that publishes /tf steadily sends every frame at
 least once in this time."""
-AROUND_NS = 60 * SECOND_NS
+LATCHED_RUN_NS = 60 * SECOND_NS
 """Maximum distance between the moment and messages of a run whose latched messages hold then,
 ns."""
 
@@ -76,7 +76,7 @@ class Latest:
 
     def _last_by_time(self, tables: Sequence[TopicTable], t: int, since: int) -> list[StoredRow]:
         rows = self._keyspace.rows
-        if any(table.msg_type in TRANSFORMS for table in tables):
+        if any(table.msg_type in TRANSFORM_TYPES for table in tables):
             steady = TimeRange(max(since, t - TRANSFORMS_NS), t)
             transforms = list(rows.read(tables, Read(steady, self._whose)))
             if transforms:
@@ -121,4 +121,4 @@ def sources_at(
         find: Returns the runs that have messages in a time range, ns.
         since: Start of the time range before t, ns.
     """
-    return find(max(0, t - AROUND_NS), t + AROUND_NS) or find(since, t)
+    return find(max(0, t - LATCHED_RUN_NS), t + LATCHED_RUN_NS) or find(since, t)

@@ -42,7 +42,7 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 PIXELS = 1000
 MOST_PIXELS = 20_000
-MOST_ROWS = 2_000_000
+MAX_PLOT_ROWS = 2_000_000
 """Maximum number of result rows for a plot that needs all of them."""
 NEAR_KEPT_SEC = 60
 """How long cached conditions on places stay valid, s. Later poses may change them."""
@@ -64,7 +64,7 @@ class PlotWindow(NamedTuple):
     """Time limit after which the result so far is returned, s; None = no limit."""
 
 
-WHOLE = PlotWindow()
+WHOLE_WINDOW = PlotWindow()
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def read_rows_series(
     """Read the numbers that a statement gives over time, from all its rows, as of several stores.
 
     Raises:
-        InvalidQuery: As read_series; or there are more than MOST_ROWS rows.
+        InvalidQuery: As read_series; or there are more than MAX_PLOT_ROWS rows.
     """
     tables = topic.tables
     plot = drawn_columns(analyse_select(select, tables), tables)
@@ -255,8 +255,8 @@ def _arrays(
         if not chunk:
             return np.concatenate(times), np.concatenate(numbers, axis=1)
         count += len(chunk)
-        if count > MOST_ROWS:
-            reason = f"more than {MOST_ROWS} rows are too many to draw; group by a longer time"
+        if count > MAX_PLOT_ROWS:
+            reason = f"more than {MAX_PLOT_ROWS} rows are too many to draw; group by a longer time"
             raise InvalidQuery(select.text, 0, reason)
         timed = [row for row in chunk if hasattr(row[over], "to_nsec")]
         times.append(np.array([row[over].to_nsec() for row in timed], np.int64))

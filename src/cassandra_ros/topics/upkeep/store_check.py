@@ -20,7 +20,7 @@ from typing import Sequence
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound, TopicNotFound
 from cassandra_ros.read import TimeRange
-from cassandra_ros.store.blocks.block_row import WHOLE, Block, BlockRow, read_block
+from cassandra_ros.store.blocks.block_row import WHOLE_BLOCK_COLUMNS, Block, BlockRow, read_block
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.requests import RawRow
 from cassandra_ros.store.rows.fetch import fetch_row, list_names
@@ -38,8 +38,8 @@ _log = logging.getLogger(__name__)
 PAGE_BYTES = 2 * 1024 * 1024
 MAX_PAGE_ROWS = 1000
 BLOCKS_AT_ONCE = 8
-_ZONES_AT = WHOLE.count(",") + 1
-"""Index of the first column after those of WHOLE."""
+_ZONES_AT = WHOLE_BLOCK_COLUMNS.count(",") + 1
+"""Index of the first column after those of WHOLE_BLOCK_COLUMNS."""
 MAX_DAMAGES = 10_000
 """Maximum number of damages that are listed. Further ones are only counted."""
 
@@ -209,7 +209,7 @@ class _Check:
         page = BLOCKS_AT_ONCE if table.packed else PAGE_BYTES * count // (size + 1) + 1
         names = table.listing()
         if table.packed:
-            names = ", ".join([WHOLE, '"_nan"', *map(quote_name, table.zone_columns)])
+            names = ", ".join([WHOLE_BLOCK_COLUMNS, '"_nan"', *map(quote_name, table.zone_columns)])
         request = table.select_range(
             names, table.place(node, bucket), page_rows=min(page, MAX_PAGE_ROWS), what="checking"
         )

@@ -14,7 +14,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.places.pose_samples import Flags
 from cassandra_ros.places.rigid import Floats
 
-MAX_CELLS = 50_000_000
+MAX_GRID_CELLS = 50_000_000
 """Maximum number of cells (200 MB)."""
 _FARTHEST = 2.0**40
 """Maximum distance from the frame's origin, cells. Sums of such numbers are exact."""
@@ -65,7 +65,7 @@ class LogOddsGrid:
             hit: Whether each ray hit something at its end.
 
         Raises:
-            InvalidOption: The grid would be larger than MAX_CELLS.
+            InvalidOption: The grid would be larger than MAX_GRID_CELLS.
         """
         if not len(ends):
             return
@@ -107,10 +107,10 @@ class LogOddsGrid:
         stop = high + 1 if not self._odds.size else np.maximum(high + 1, self._low + size)
         if self._odds.size and (first >= self._low).all() and (stop <= self._low + size).all():
             return
-        if math.prod(int(n) for n in stop - first) > MAX_CELLS:
+        if math.prod(int(n) for n in stop - first) > MAX_GRID_CELLS:
             metres = " x ".join(f"{n * self.resolution:.0f}" for n in stop - first)
             raise InvalidOption(
-                f"the map would be {metres} m large, more than {MAX_CELLS} cells of "
+                f"the map would be {metres} m large, more than {MAX_GRID_CELLS} cells of "
                 f"{self.resolution:g} m: give a coarser resolution, or a shorter max_range"
             )
         first, stop = first - _MARGIN, stop + _MARGIN

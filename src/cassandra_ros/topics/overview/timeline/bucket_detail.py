@@ -27,7 +27,7 @@ from cassandra_ros.topics.overview.timeline.time_cells import (
 
 MAX_KEYS = 30_000
 """Maximum number of messages whose keys are read for one picture."""
-MAX_BLOCKS = 5000
+MAX_PICTURE_BLOCKS = 5000
 """Maximum number of headers of blocks that are read for one picture."""
 _BLOCK_MESSAGES = 256
 """Assumed minimum number of messages in a block, except for blocks of about half a second."""
@@ -38,7 +38,7 @@ class _Budget:
 
     def __init__(self) -> None:
         self.keys = MAX_KEYS
-        self.blocks = MAX_BLOCKS
+        self.blocks = MAX_PICTURE_BLOCKS
 
     def take_keys(self, count: int) -> bool:
         """Subtract keys that were read; return whether enough were left."""

@@ -19,7 +19,7 @@ from cassandra_ros.errors import InvalidOption
 Longs = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-MAX_CELLS = 10_000
+MAX_TIMELINE_CELLS = 10_000
 USUAL_TIMES = 10
 """Minimum ratio of a gap to the usual time between two messages."""
 LEAST_CELLS = 2
@@ -47,8 +47,8 @@ class Scale(NamedTuple):
         Raises:
             InvalidOption: The number of cells is out of range, or start is later than end.
         """
-        if not 1 <= most <= MAX_CELLS:
-            raise InvalidOption(f"pixels {most}: give 1 to {MAX_CELLS}")
+        if not 1 <= most <= MAX_TIMELINE_CELLS:
+            raise InvalidOption(f"pixels {most}: give 1 to {MAX_TIMELINE_CELLS}")
         if start > end:
             raise InvalidOption(f"start {start} is later than end {end}; both are ns since 1970")
         return cls(start, end, -(-(end - start + 1) // most))
