@@ -666,7 +666,7 @@ def test_no_message_goes_to_a_file_after_the_last_file_was_read(store, rosCas, f
 def test_the_end_does_not_wait_for_a_silent_store_that_has_everything(
     proxy, store, rosCas, folder, monkeypatch
 ):
-    monkeypatch.setattr("cassandra_ros.recording.recording.SLOW_SEC", 2.0)
+    monkeypatch.setattr("cassandra_ros.recording.recording.SLOW_STORE_SEC", 2.0)
     recorder = Recording(store.catalog, spool=SpoolPlan(folder))
     send(recorder, range(100))
     await_true(lambda: recorder.reports()[0].stored == 100)

@@ -63,7 +63,7 @@ TELL_FIRST_SEC = 2.0
 """How long messages go to the spool before it is told, s."""
 TELL_SEC = 60.0
 """Interval at which it is told again, s."""
-LEAVE_SEC = 10.0
+MOVE_TO_SPOOL_SEC = 10.0
 """Maximum time that the end waits until all messages of the buffer are in files, s."""
 _LOW = (1 << COUNTER_BITS) - 1
 
@@ -572,7 +572,7 @@ class Backlog:
                 self._back += [_spooled_row(item) for item in self._handed]
             self._buffer.release_all(self._handed)
             self._handed.clear()
-        ends = time.monotonic() + LEAVE_SEC
+        ends = time.monotonic() + MOVE_TO_SPOOL_SEC
         while self._buffer.waits and time.monotonic() < ends and self._retry_at < time.monotonic():
             time.sleep(SPOOL_WRITE_SEC)
         return not self._buffer.waits

@@ -67,9 +67,9 @@ TELL_SEC = 60.0
 """Interval at which it tells so again, s."""
 SAVE_SEC = 2.0
 """Interval at which new losses are stored, s."""
-LEAVE_SEC = 5.0
+SILENT_STORE_SEC = 5.0
 """Time at the end in which the store takes no message, after which they stay in the spool, s."""
-SLOW_SEC = 30.0
+SLOW_STORE_SEC = 30.0
 """The same time while no request to the store has failed, s: it may only be slow."""
 WORD_SEC = 30.0
 """Maximum time that an abandoned recording with a spool waits until its messages are there, s."""
@@ -712,7 +712,7 @@ class Recording:
             settled = sum(self._stored_counts().values()) + sum(r.lost for r in self.reports())
             if settled != before:
                 before, since = settled, time.monotonic()
-            patience = LEAVE_SEC if self.is_held_up else SLOW_SEC
+            patience = SILENT_STORE_SEC if self.is_held_up else SLOW_STORE_SEC
             if time.monotonic() - since > patience and not self._left:
                 self._leave()
             if self._left and not self._thread.is_alive():
@@ -721,7 +721,7 @@ class Recording:
             self._leave()
         if not (self._left or self._thread.is_alive() or self._has_pending()):
             for writer in list(self._writers):  # all is stored: only buckets are to be closed
-                writer.hurry(SLOW_SEC)
+                writer.hurry(SLOW_STORE_SEC)
 
     def _leave(self) -> None:
         """Keep unstored messages in the spool, also those that the store gives back."""
