@@ -425,10 +425,10 @@ class NameResolver:
         return ResultColumn(term.text, KEY_PLACE, "string" if self._named else "time")
 
     def _compile(self, term: Term) -> Computed | None:
-        """Make the function that computes a term from a row's values; None if there is none.
+        """Return the function that computes a term from a row's values.
 
-        There is none if the table lacks a field of the term, or its type does not fit. The reason,
-        or that the term's parts are right, goes to the findings: a statement is refused only if a
+        Return None if the table lacks a field of the term, or a type does not fit. The findings
+        note the reason, or that the parts of the term are right: a statement is refused only if a
         part of it is right in no table.
         """
         try:

@@ -79,9 +79,10 @@ class BlockRow(NamedTuple):
 
 
 def read_block(table: RowTable, values: RawRow) -> BlockRow | None:
-    """Return a block from the values of HEADER_COLUMNS or WHOLE_BLOCK_COLUMNS; None if it is none.
+    """Return a block from the values of HEADER_COLUMNS or WHOLE_BLOCK_COLUMNS.
 
-    Such a row remains when a message is deleted from a block that was deleted or has expired.
+    Return None if the row is not a block: such a row remains when a message is deleted from a block
+    that was deleted or has expired.
 
     Raises:
         CorruptMessage: The row has a connection but lacks another column of a block.
