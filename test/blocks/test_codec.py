@@ -73,7 +73,7 @@ def test_long_ones_that_do_not_compress_are_stored_as_they_are(sizes):
     wires = [rng.random(size // 4 + 1, np.float32).tobytes()[:size] for size in sizes]
     count, size = len(wires), sum(sizes)
     data = pack_block(range(count), range(count), wires, range(5, count + 5))
-    assert data[1] & 8 and b"".join(wires) in data
+    assert data[1] & 4 and b"".join(wires) in data
     found = unpack_block(data, count, size)
     assert found.wires() == wires and [found.wire(n) for n in range(count)] == wires
     assert (found.times.tolist(), found.received.tolist()) == (
@@ -86,10 +86,10 @@ def test_long_ones_that_do_not_compress_are_stored_as_they_are(sizes):
 
 
 def test_the_bytes_stay_as_they_are():
-    # Stored blocks must be readable for ever: this is version 1.
+    # What has other bytes is another version.
     wires = [bytes((n, 7, 255 - n)) for n in range(MIN_PLANES)] + [b"", b"text"]
     data = pack_block(range(100, 118), range(5, 23), wires, range(90, 108))
-    assert data[:2] == b"\x01\x05"
+    assert data[:2] == b"\x01\x01"
     body = zstandard.ZstdDecompressor().decompress(data[2:])
     count = len(wires)
     assert body[:count] == b"\x64" + b"\x01" * (count - 1)
@@ -99,18 +99,20 @@ def test_the_bytes_stay_as_they_are():
     assert received == b"\xf6" * count
     messages = bytes(range(16)) + b"\x07" * 16 + bytes(range(255, 239, -1)) + b"text"
     assert body[28 * count :] == b"\0\0" + messages
-    # Earlier ones did not say how a group is laid out.
-    earlier = zstandard.ZstdCompressor().compress(body[: 28 * count] + messages)
-    assert unpack_block(b"\x01\x01" + earlier, count, sum(map(len, wires))).wires() == wires
 
 
-@pytest.mark.parametrize("spoil", ["empty", "version", "flags", "frame", "cut", "count", "size"])
+@pytest.mark.parametrize("version", [0, VERSION + 1])
+def test_a_block_of_another_version_is_refused(version):
+    data = bytes([version]) + pack_block([1], [3], [b"ab"])[1:]
+    with pytest.raises(CorruptMessage, match=f"version {version}, .* only version {VERSION}: .*"):
+        unpack_block(data, 1, 2)
+
+
+@pytest.mark.parametrize("spoil", ["empty", "flags", "frame", "cut", "count", "size"])
 def test_what_is_no_block_is_refused(spoil):
     data, count, size = pack_block([1, 2], [3, 4], [b"ab", b"c"]), 2, 3
     if spoil == "empty":
         data = b""
-    elif spoil == "version":
-        data = b"\x02" + data[1:]
     elif spoil == "flags":
         data = data[:1] + b"\x10" + data[2:]
     elif spoil == "frame":

@@ -23,7 +23,7 @@ from cassandra_ros.store.tables.checksum import crc32
 
 TYPES = installedTypes()
 BOMB_BYTES = 1 << 30
-STORED = 8
+STORED = 4
 """Flag of a block whose messages are not compressed."""
 
 
@@ -143,7 +143,7 @@ def changed_block(chance, data):
         return changed_bytes(chance, data, range(20))
     plain = zstandard.decompress(data[2:])
     plain = changed_bytes(chance, plain, range(0, len(plain), 7))
-    flags = chance.choice((data[1], data[1], chance.randrange(16)))
+    flags = chance.choice((data[1], data[1], chance.randrange(8)))
     if chance.random() < 0.5:
         return bytes([data[0], flags | STORED]) + plain
     return bytes([data[0], flags & ~STORED]) + zstandard.compress(plain)

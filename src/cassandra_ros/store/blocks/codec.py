@@ -5,17 +5,17 @@
 The first byte is the version, the second one the flags; a zstd frame follows. It holds, each as
 planes (all first bytes, all second bytes, …, little-endian): the differences of the key times,
 those of ``_seq``, the sizes, and with flag 1 the receive times minus the key times. The messages
-follow in groups of equal size, the smallest first, each group in the order of the block. A group of
-at least 16 messages is stored as planes too: bytes that change little from message to message are
-side by side, and a field at a fixed offset is some whole rows of a matrix. With flag 2 messages of
-at least 512 bytes, which are the last, are coded as words instead: scans take half the bytes. With
-flag 4 each other group of at least 16 has its own layout. With flag 8 there is no frame, because
-zstd would save nothing.
+follow in groups of equal size, the smallest first, each group in the order of the block. With
+flag 2 messages of at least 512 bytes, which are the last, are coded as words instead: scans take
+half the bytes. Each other group of at least 16 messages has its own layout; smaller ones are plain,
+one message after the other. With flag 4 there is no frame, because zstd would save nothing.
 
 **Layouts**, chosen for each group by a sample. The first byte of a group is its layout:
 
-- Planes. A plane that rises in equal steps, as counters and stamps do, is stored as the differences
-  of its bytes. One bit for each plane follows the layout: stored as differences.
+- Planes: bytes that change little from message to message are side by side, and a field at a fixed
+  offset is some whole rows of a matrix. A plane that rises in equal steps, as counters and stamps
+  do, is stored as the differences of its bytes. One bit for each plane follows the layout: stored
+  as differences.
 - Columns of 8 bytes, cut from the ends of the messages. A ``float64`` of a sensor with a few
   thousand different values then repeats as a whole, while in planes each of its eight bytes repeats
   alone.
@@ -309,6 +309,7 @@ def _join_words(words: bytes, loose: memoryview, sizes: Sequence[int]) -> bytes:
 Longs = NDArray[np.int64]
 
 VERSION = 1
+"""Version of the blocks that this release writes, and the only one that it reads."""
 LEVEL = 1
 """Level of zstd. Higher ones take more time than storing the bytes."""
 QUICK_LEVEL = -10
@@ -327,13 +328,10 @@ SINGLE_CUT_RATIO = 64
 """Ratio of a block's messages to the read ones above which each is cut out by itself."""
 LONG = 512
 """Minimum size of messages that may be coded as words, bytes."""
-_RECEIVED, _WORDS, _LAYOUTS, _STORED = 1, 2, 4, 8
-_KNOWN = _RECEIVED | _WORDS | _LAYOUTS | _STORED
+_RECEIVED, _WORDS, _STORED = 1, 2, 4
+_KNOWN = _RECEIVED | _WORDS | _STORED
 _HEAD = 2
 _I8, _U4 = np.dtype("<i8"), np.dtype("<u4")
-
-
-_NO_RISES: Mapping[int, Mask] = {}
 
 
 class Group(NamedTuple):
@@ -375,8 +373,8 @@ class Unpacked:
         sizes: Longs,
         received: Longs | None,
         body: memoryview,
-        as_rows: frozenset[int] = frozenset(),
-        rises: Mapping[int, Mask] = _NO_RISES,
+        as_rows: frozenset[int],
+        rises: Mapping[int, Mask],
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
         # Sizes whose messages are stored one after the other, however many there are.
@@ -471,11 +469,8 @@ def pack_block(
     if words is not None:
         wires, sizes = wires[:short], sizes[:short]
     flags = (_RECEIVED if received is not None else 0) | (_WORDS if words is not None else 0)
-    many = _many(sizes)
-    if many:
-        flags |= _LAYOUTS
     start = 0
-    for begin, end in many:
+    for begin, end in _many(sizes):
         parts += [*wires[start:begin], *lay_out(wires[begin:end], _cost)]
         start = end
     parts += [*wires[start:], words or b""]
@@ -521,11 +516,16 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
         size: Number of serialised bytes of all messages, as the block's row says.
 
     Raises:
-        CorruptMessage: The bytes are not such a block.
+        CorruptMessage: The bytes are not such a block, or one of another version.
     """
-    if len(data) < _HEAD or data[0] != VERSION or data[1] & ~_KNOWN:
-        raise CorruptMessage(f"a block of {len(data)} bytes is of no version that is known here")
-    received, coded = bool(data[1] & _RECEIVED), data[1] & (_WORDS | _LAYOUTS)
+    if data and data[0] != VERSION:
+        raise CorruptMessage(
+            f"a block has version {data[0]}, and this release of cassandra_ros reads only version "
+            f"{VERSION}: if another release wrote it, export the topic with that one"
+        )
+    if len(data) < _HEAD or data[1] & ~_KNOWN:
+        raise CorruptMessage(f"a block of {len(data)} bytes has no flags, or unknown ones")
+    received, words = bool(data[1] & _RECEIVED), bool(data[1] & _WORDS)
     begin = count * (20 + 8 * received)
     try:
         # Checked before memory is allocated: the frame's header has its length.
@@ -535,8 +535,7 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
         if max(content, size) > MAX_CONTENT_BYTES:
             raise CorruptMessage(f"a block says that it holds {max(content, size)} bytes: too many")
         length = content - begin
-        fits = length <= most_bytes(size) if coded else length == size
-        if min(count, size, length) < 0 or not fits:
+        if min(count, size, length) < 0 or length > most_bytes(size):
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
         view = packed if stored else memoryview(_mine.decompressor.decompress(packed))
     except zstandard.ZstdError as exc:
@@ -546,26 +545,24 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     if int(np.add.reduce(sizes)) != size:
         raise CorruptMessage(f"the messages of a block have {int(sizes.sum())} bytes, not {size}")
     arrivals = times + _numbers(view, 20 * count, 1, count, _I8)[0] if received else None
-    if coded:
-        return Unpacked(times, seqs, sizes, arrivals, *_decode(view[begin:], sizes, coded))
-    return Unpacked(times, seqs, sizes, arrivals, view[begin:])
+    return Unpacked(times, seqs, sizes, arrivals, *_decode(view[begin:], sizes, words))
 
 
 def _decode(
-    body: memoryview, sizes: Longs, coded: int
+    body: memoryview, sizes: Longs, has_words: bool
 ) -> tuple[memoryview, frozenset[int], Mapping[int, Mask]]:
     """Return the messages, and two kinds of sizes with many messages.
 
     Those that are not planes but plain, and those with planes that are stored as differences.
     """
     lengths = np.sort(sizes)
-    short = int(np.searchsorted(lengths, LONG)) if coded & _WORDS else len(lengths)
+    short = int(np.searchsorted(lengths, LONG)) if has_words else len(lengths)
     words = lengths[short:].tolist()
     as_rows: set[int] = set(words)
     rises: dict[int, Mask] = {}
     parts: list[BytesLike] = []
     start = 0
-    for begin, end in _many(lengths[:short]) if coded & _LAYOUTS else ():
+    for begin, end in _many(lengths[:short]):
         size, between = int(lengths[begin]), int(lengths[start:begin].sum())
         laid = read_layout(body[between:], size, end - begin)
         if not laid.as_planes:
