@@ -143,7 +143,7 @@ def test_a_server_in_another_root_with_the_same_paths_is_not_ours(tmp_path):
     save_settings(directory, cluster.settings)
     with foreign_server(node.config, "chroot", root) as child:
         assert processes.find_server(node.config, node.pid_file) == 0
-        node.pid_file.write_text(f"{child.pid}\n")  # as an earlier release wrote it
+        processes.write_start(node.pid_file, child.pid)
         assert processes.find_server(node.config, node.pid_file) == 0
         assert disk.local_nodes(directory) == 0
         assert disk.local_directory("127.0.0.1", cluster.settings.port) is None

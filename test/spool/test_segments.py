@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import zlib
 
 import pytest
 from hypothesis import given
@@ -20,7 +21,7 @@ from cassandra_ros.files.spool.segment_reader import SegmentReader
 from cassandra_ros.files.spool.segment_writer import SegmentWriter
 from cassandra_ros.files.spool.spool_folder import SpoolFolder
 from cassandra_ros.files.spool.spool_label import (
-    LABEL,
+    VERSION,
     RunEnd,
     SpoolLabel,
     as_metadata,
@@ -178,15 +179,15 @@ def test_a_file_that_ends_anywhere_is_read_up_to_there(written, tmp_path_factory
     assert found == messages[: len(found)]
 
 
-def test_a_label_of_a_newer_release_is_refused():
+@pytest.mark.parametrize("version", [VERSION - 1, VERSION + 1, None])
+def test_a_label_of_another_version_is_refused(version):
     values = {**as_metadata(LABELLED)}
-    text = json.dumps({**json.loads(values["text"]), "version": 2})
-    import zlib
-
-    newer = {"text": text, "crc": f"{zlib.crc32(text.encode()):08x}"}
-    with pytest.raises(SpoolError, match="version 2.*up to 1.*newer"):
-        from_metadata(SpoolLabel, newer, LABEL)
-    assert is_whole(newer)
+    text = json.dumps({**json.loads(values["text"]), "version": version})
+    other = {"text": text, "crc": f"{zlib.crc32(text.encode()):08x}"}
+    words = f"a.mcap has version {version}, .* only version {VERSION}: .* the release that wrote it"
+    with pytest.raises(SpoolError, match=words):
+        from_metadata(SpoolLabel, other, "a.mcap")
+    assert is_whole(other)
     assert not is_whole({**values, "crc": "0"})
 
 

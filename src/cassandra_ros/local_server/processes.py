@@ -40,7 +40,7 @@ class ServerStart(NamedTuple):
 
     Attributes:
         pid: Pid of the server; 0 = the file is missing or damaged.
-        time: Its start time, see start_time; 0 = not noted.
+        time: Its start time, see start_time; 0 = the file is missing or damaged.
     """
 
     pid: int
@@ -90,7 +90,7 @@ def read_start(pid_file: Path) -> ServerStart | None:
     try:
         with open(open_regular(pid_file), encoding="ascii", errors="replace") as file:
             words = file.read(_PID_CHARS).split()
-        return ServerStart(int(words[0]), int(words[1]) if len(words) > 1 else 0)
+        return ServerStart(int(words[0]), int(words[1]))
     except PermissionError:
         return None
     except (OSError, ValueError, IndexError):

@@ -63,8 +63,8 @@ POLL_SEC = 0.1
 """Interval at which a drain that waits for the store checks whether it is to end, s."""
 
 _NEVER = (DefinitionError, CorruptMessage, InvalidKey, InvalidName, InvalidOption, UnknownFormat)
-"""Errors for which messages are never stored. Other reasons may pass, as a table of a newer release
-or a lock that is held."""
+"""Errors for which messages are never stored. Other reasons may pass, as a table of another
+version or a lock that is held."""
 Progress = Callable[[int], object]
 """Called with the number of messages that were stored since the last call."""
 

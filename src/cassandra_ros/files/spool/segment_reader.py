@@ -109,7 +109,7 @@ class SegmentReader:
         """Return the label of the run; None = it is not in the file, or damaged.
 
         Raises:
-            SpoolError: It is of a newer release.
+            SpoolError: It is of another version.
         """
         for record in self._records():
             if record.kind == mcap_records.METADATA_KIND:

@@ -12,7 +12,7 @@ from typing import Any, Dict, Mapping, Sequence, TypeVar
 from cassandra_ros.errors import SpoolError
 
 VERSION = 1
-"""Version of the labels that this release writes, and the newest that it reads."""
+"""Version of the files that this release writes, and the only one that it reads."""
 LABEL, END, TOTALS = "cassandra_ros.files.spool", "cassandra_ros.end", "cassandra_ros.totals"
 """Names of the metadata records with a SpoolLabel, a RunEnd and RunTotals."""
 _T = TypeVar("_T", "SpoolLabel", "RunEnd", "RunTotals")
@@ -113,14 +113,13 @@ def from_metadata(kind: type[_T], metadata: Mapping[str, str], where: str) -> _T
     """Return the label, the end or the totals in a metadata record that is whole.
 
     Raises:
-        SpoolError: It is of a newer release.
+        SpoolError: It is of another version.
     """
     values = json.loads(metadata["text"])
-    if values.get("version", 0) > VERSION:
+    version = values.get("version")
+    if version != VERSION:
         raise SpoolError(
-            f"{where} has version {values['version']}; this release of cassandra_ros reads "
-            f"versions up to {VERSION}: install a newer one to store its messages"
+            f"{where} has version {version}, and this release of cassandra_ros reads only version "
+            f"{VERSION}: store its messages with the release that wrote it"
         )
-    return kind(
-        **{member.name: values[member.name] for member in fields(kind) if member.name in values}
-    )
+    return kind(**{member.name: values[member.name] for member in fields(kind)})

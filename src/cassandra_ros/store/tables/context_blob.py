@@ -23,6 +23,7 @@ from cassandra_ros.errors import CorruptMessage, InvalidOption
 MAX_CONTEXT_BYTES = 64 * 1024 * 1024
 """Maximum size of the JSON in bytes, so that a hostile or broken blob cannot fill the memory."""
 
+_GRAPH = ("publishers", "subscribers", "services", "types")
 Graph = Mapping[str, Sequence[str]]
 """Topic or service → names of nodes."""
 
@@ -69,8 +70,7 @@ def encode_context(context: RunContext) -> bytes:
     """
     parts = {
         "params": _plain(context.params, "", 0),
-        **{name: getattr(context.graph, name) for name in ("publishers", "subscribers")},
-        **{name: getattr(context.graph, name) for name in ("services", "types")},
+        **{name: getattr(context.graph, name) for name in _GRAPH},
     }
     text = json.dumps(parts, allow_nan=False, separators=(",", ":")).encode("ascii")
     if len(text) > MAX_CONTEXT_BYTES:
@@ -87,15 +87,13 @@ def decode_context(blob: bytes) -> RunContext:
         unpacker = zlib.decompressobj()
         text = unpacker.decompress(blob, MAX_CONTEXT_BYTES)
         parts = json.loads(text.decode("ascii"))
-        graph = {name: parts.get(name, {}) for name in ("publishers", "subscribers", "services")}
         params = _value(parts["params"])
         if not isinstance(params, dict):
             raise TypeError("the parameters are no mapping")
-        return RunContext(params, NodeGraph(**graph, types=parts.get("types", {})))
+        return RunContext(params, NodeGraph(**{name: parts[name] for name in _GRAPH}))
     except (zlib.error, ValueError, TypeError, KeyError, AttributeError, RecursionError) as exc:
         raise CorruptMessage(
-            f"the stored parameters of a run cannot be read: {exc}; a newer release wrote them, "
-            "or the row is damaged"
+            f"the stored parameters of a run cannot be read: {exc}; the row is damaged"
         ) from exc
 
 
