@@ -15,7 +15,15 @@ from std_msgs.msg import String
 
 from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.messages.formats.table import FORMATS, format_class
-from cassandra_ros.metadata import _CHECKS, FORMAT_NAMES, MetaView, TopicMetadata, from_comment
+from cassandra_ros.metadata import (
+    _CHECKS,
+    FORMAT_NAMES,
+    SCHEMA_VERSION,
+    SIDE_COMMENT,
+    MetaView,
+    TopicMetadata,
+    from_comment,
+)
 
 GOOD = TopicMetadata(
     "/t",
@@ -82,6 +90,51 @@ def test_one_changed_field_gives_metadata_that_work_or_none(name, value, drop):
         use(found)
 
 
+OTHERS = [SCHEMA_VERSION - 1, SCHEMA_VERSION + 1]
+REFUSED = f"has schema version {{}}, .* only version {SCHEMA_VERSION}: export the topics .* import"
+
+
+def of_version(comment, version):
+    """Return the comment of a topic's table, or of a side table, with another version."""
+    other = comment.replace(f'"version": {SCHEMA_VERSION}', f'"version": {version}')
+    assert other != comment
+    return other
+
+
+@pytest.mark.parametrize("version", OTHERS)
+@pytest.mark.parametrize("comment", [GOOD.to_comment(), SIDE_COMMENT], ids=["topic", "side table"])
+def test_another_version_is_refused_with_what_to_do(comment, version):
+    with pytest.raises(UnsupportedSchema, match="table k.t " + REFUSED.format(version)):
+        from_comment(of_version(comment, version), "k.t")
+
+
+@pytest.mark.parametrize("version", OTHERS)
+@pytest.mark.parametrize("whose", ["topic", "cr_run"])
+def test_a_keyspace_of_another_version_is_not_read_and_not_written(
+    rosCas, connect, cql, whose, version
+):
+    rosCas.addTopic("/t").addData(String("x"))
+    (table,) = rosCas.getTopic("/t").tables
+    name, comment = table.name, table.metadata.to_comment()
+    if whose != "topic":
+        name, comment = whose, SIDE_COMMENT
+    assert from_comment(SIDE_COMMENT, name) is None
+    cql.execute(
+        f"ALTER TABLE {rosCas.keyspace}.{name} WITH comment = '{of_version(comment, version)}'"
+    )
+    words = f"{rosCas.keyspace}.{name} " + REFUSED.format(version)
+    with connect(keyspace=rosCas.keyspace) as other:
+        for use in (
+            other.getAllTopics,
+            other.info,
+            lambda: other.getTopic("/t"),
+            lambda: other.addTopic("/u").addData(String("x")),
+            lambda: other.upkeep.check(repair=True),
+        ):
+            with pytest.raises(UnsupportedSchema, match=words):
+                use()
+
+
 @given(VALUES)
 def test_anything_under_our_key_is_left_out(value):
     assert from_comment(json.dumps({"cassandra_ros": value}), "k.t") is None
@@ -124,6 +177,6 @@ def test_a_version_that_is_no_number_is_no_error(version):
     made = TopicMetadata(
         topic="/x", msg_type="a/B", md5sum="0" * 32, definition="", format="ros", bucket_ns=1
     )
-    comment = made.to_comment().replace('"version": 2', f'"version": {version}')
+    comment = made.to_comment().replace(f'"version": {SCHEMA_VERSION}', f'"version": {version}')
     assert comment != made.to_comment()
     assert from_comment(comment, "t_1") is None

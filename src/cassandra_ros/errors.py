@@ -117,7 +117,7 @@ class SchemaConflict(CassandraRosError):
 
 
 class UnsupportedSchema(CassandraRosError):
-    """A table was written by a newer release of this package."""
+    """A table has another schema version than the one that this release reads and writes."""
 
 
 class TopicNotFound(CassandraRosError, KeyError):

@@ -16,10 +16,12 @@ from cassandra_ros.keys import KEY_FORMATS, NAMED_FORMATS
 
 _log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 2
-"""Version 2: the buckets of a table are listed in cr_active too. Earlier releases do not list them
-there, so they refuse a table of version 2."""
-_OURS, _FILLING = "cassandra_ros", "cassandra_ros_filling"
+SCHEMA_VERSION = 1
+"""Version of all tables that this release writes, and the only one that it reads. It is in the
+comments of the tables of topics and of the side tables."""
+_TOPIC, _SIDE = "cassandra_ros", "cassandra_ros_side_table"
+SIDE_COMMENT = json.dumps({_SIDE: {"version": SCHEMA_VERSION}})
+"""Comment of a side table."""
 FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
 """Names of all storage formats; messages/formats/table.py has the same names."""
 MAX_LIFETIME_SEC = 20 * 365 * 86_400
@@ -92,11 +94,6 @@ class TopicMetadata:
         return self.span_ns > 0
 
     @property
-    def by_time(self) -> bool:
-        """Whether cr_active lists all buckets of the table in the order of time."""
-        return self.version > 1
-
-    @property
     def partition(self) -> str:
         """Name of the second column of the partition key, which holds a name or a bucket."""
         return "_key" if self.named else "_bucket"
@@ -104,6 +101,7 @@ class TopicMetadata:
     @property
     def next_shadow(self) -> int:
         """Number for a new shadow column that, by the comment, was never used."""
+        # A comment that was changed by hand may have too low a count.
         used = [int(shadow[len(SHADOW) :]) for shadow in self.indexes.values()]
         return max(self.index_count, *(number + 1 for number in used), 0)
 
@@ -129,8 +127,7 @@ class TopicMetadata:
 
     def to_comment(self) -> str:
         """Return the metadata as the JSON text of a table comment."""
-        # Another key, so that earlier releases, which do not know ``filling``, ignore the table.
-        return json.dumps({_FILLING if self.filling else _OURS: vars(self)}, sort_keys=True)
+        return json.dumps({_TOPIC: vars(self)}, sort_keys=True)
 
     def with_user(self, keys: Mapping[str, Any], comment: str | None) -> TopicMetadata:
         """Return a copy with other keys of the user's own and another comment.
@@ -206,33 +203,37 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
     the table, once.
 
     Raises:
-        UnsupportedSchema: A newer release made the table.
+        UnsupportedSchema: The table, which may be a side table, has another schema version.
     """
-    if not any(f'"{key}"' in comment for key in (_OURS, _FILLING)):
+    if not any(f'"{key}"' in comment for key in (_TOPIC, _SIDE)):
         return None
     try:
         parsed = json.loads(comment)
-        values = parsed[_OURS if _OURS in parsed else _FILLING]
+        is_topic = _TOPIC in parsed
+        values = parsed[_TOPIC if is_topic else _SIDE]
         version = int(values["version"])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None  # a table of another program whose comment contains our key by chance
-    if version > SCHEMA_VERSION:
+    if version != SCHEMA_VERSION:
         raise UnsupportedSchema(
-            f"table {table} was written with schema version {version}; this release of "
-            f"cassandra_ros reads versions up to {SCHEMA_VERSION}: install a newer one"
+            f"table {table} has schema version {version}, and this release of cassandra_ros reads "
+            f"only version {SCHEMA_VERSION}: export the topics of its keyspace with a release that "
+            "reads them, and import them into another keyspace with this one"
         )
-    names = {f.name for f in fields(TopicMetadata)}
-    known_values = {name: value for name, value in values.items() if name in names}
-    missing = [name for name in _REQUIRED if name not in known_values]
-    if missing:
-        _skip(table, f"{missing[0]} is missing")
+    if not is_topic:
         return None
-    for name, value in known_values.items():
-        if not _CHECKS[name](value):
-            _skip(table, f"{name} cannot be {value!r:.80}")
+    known_values = {}
+    for member in fields(TopicMetadata):
+        name = member.name
+        if name not in values:
+            _skip(table, f"{name} is missing")
             return None
-    known_values["columns"] = tuple(known_values.get("columns", ()))
-    known_values["replaces"] = tuple(known_values.get("replaces", ()))
+        if not _CHECKS[name](values[name]):
+            _skip(table, f"{name} cannot be {values[name]!r:.80}")
+            return None
+        known_values[name] = values[name]
+    known_values["columns"] = tuple(known_values["columns"])
+    known_values["replaces"] = tuple(known_values["replaces"])
     return TopicMetadata(**known_values)
 
 
@@ -301,7 +302,6 @@ def _is_list(is_member: Callable[[object], bool], value: object) -> bool:
     return isinstance(value, (list, tuple)) and all(map(is_member, value))
 
 
-_REQUIRED = ("topic", "msg_type", "md5sum", "format", "bucket_ns")
 _SHADOW_COLUMN = re.compile(f"{SHADOW}[0-9]{{1,9}}")
 _CHECKS: Mapping[str, Callable[[object], bool]] = {
     **dict.fromkeys(("topic",), _is_name),

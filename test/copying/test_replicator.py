@@ -22,10 +22,10 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import SCHEMA_VERSION, SIDE_COMMENT
 from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.store.tables.registry import Loss, LossKind, Run
-from cassandra_ros.store.tables.side_tables import LATER_TABLES
 from cassandra_ros.stores.copying.copy_status import copy_status
 from cassandra_ros.stores.copying.replicator import Replicator
 
@@ -590,9 +590,10 @@ def test_a_store_is_not_copied_into_itself(rosCas, connect):
 def test_a_target_of_another_schema_is_refused(rosCas, connect, new_keyspace, cql):
     fill(rosCas, "ros", 5)
     with connect(keyspace=new_keyspace) as home:
-        home.catalog.keyspace.side_tables.make(*LATER_TABLES)
-        cql.execute(f"ALTER TABLE {new_keyspace}.cr_bucket DROP filled")
-        with pytest.raises(UnsupportedSchema, match="cr_bucket of the target has no column filled"):
+        home.catalog.keyspace.side_tables.make()
+        comment = SIDE_COMMENT.replace(f'"version": {SCHEMA_VERSION}', '"version": 99')
+        cql.execute(f"ALTER TABLE {new_keyspace}.cr_run WITH comment = '{comment}'")
+        with pytest.raises(UnsupportedSchema, match=f"{new_keyspace}.cr_run has schema version 99"):
             Replicator(rosCas, home)
 
 

@@ -101,14 +101,17 @@ class Store:
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return the metadata of the tables that hold messages, by their names.
 
-        They are in the comments. A table that another one replaces is not read any more.
+        They are in the comments. A table that is still filled is not read yet, and one that another
+        one has replaced not any more.
         """
         cql = "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = %s"
         found = {}
         for name, comment in self.select(cql, self.keyspace):
             if comment.startswith('{"cassandra_ros":'):
-                found[name] = json.loads(comment)["cassandra_ros"]
-        replaced = {old for metadata in found.values() for old in metadata.get("replaces", ())}
+                metadata = json.loads(comment)["cassandra_ros"]
+                if not metadata["filling"]:
+                    found[name] = metadata
+        replaced = {old for metadata in found.values() for old in metadata["replaces"]}
         return {name: metadata for name, metadata in found.items() if name not in replaced}
 
     def texts(self, table: str, metadata: dict[str, Any]) -> Iterator[StoredText]:
@@ -205,12 +208,12 @@ def wires_of_block(data: bytes, count: int) -> list[bytes]:
     """Return the messages of a block, see doc/formats.md.
 
     Only blocks are read that hold fewer than 16 messages of each size, all below 512 bytes, which
-    are stored one after the other in the order of their sizes.
+    are stored one after the other in the order of their sizes. Others have more bytes, or flag 2.
     """
     version, flags = data[:2]
-    if version != 1 or flags & ~0b1001:
+    if version != 1 or flags & ~0b101:
         raise ValueError(f"a block of version {version} with flags {flags} is not read here")
-    plain = data[2:] if flags & 8 else zstandard.ZstdDecompressor().decompress(data[2:])
+    plain = data[2:] if flags & 4 else zstandard.ZstdDecompressor().decompress(data[2:])
     # The sizes follow the differences of times and of sequence numbers, 8 bytes each: first all
     # first bytes, then all second bytes, ….
     planes = [plain[(16 + byte) * count : (17 + byte) * count] for byte in range(4)]

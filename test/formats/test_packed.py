@@ -4,15 +4,13 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import Float64, Header
 
 from cassandra_ros.errors import InvalidOption, InvalidQuery
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.metadata import TopicMetadata, from_comment
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.tables.directory import UNKNOWN_SPAN_NS
 
 SEC = 10**9
@@ -58,12 +56,6 @@ def test_the_span_of_blocks_stays_within_a_bucket(rosCas):
         assert space.new_tables.make(metadata, definition).metadata.span_ns == expected
         other = space.new_tables.make(metadata.with_(format="binary"), definition)
         assert other.metadata.span_ns == 0 and not other.packed
-
-
-def test_comments_of_before_tell_of_no_blocks():
-    told = json.loads(TopicMetadata("/a", "a/B", "0", "ros", 1).to_comment())
-    del told["cassandra_ros"]["span_ns"]
-    assert from_comment(json.dumps(told), "t").packed is False
 
 
 REFUSED = [("hash", "", "'hash'"), ("manual", "", "'manual'"), ("msg_part", "frame_id", "frame_id")]

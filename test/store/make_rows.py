@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Makes the folder rows_vN: rows of schema version N, as this release writes them.
+"""Makes the folder rows_v1: rows of schema version 1, as release 1.0.0 writes them.
 
-Later releases read and change them. By hand, once for each schema version, against a Cassandra
-without a keyspace of the folder's name:
-PYTHONPATH=src python3 test/store/make_rows.py 127.0.0.1 9042
+Later releases read and change them. By hand, against a Cassandra without a keyspace of the folder's
+name: PYTHONPATH=src python3 test/store/make_rows.py 127.0.0.1 9042
 For a format that is added later, append its name: then only its rows are added.
 """
 
@@ -30,9 +29,7 @@ from cassandra_ros.metadata import SCHEMA_VERSION
 KEYSPACE = f"rows_v{SCHEMA_VERSION}"
 FOLDER = Path(__file__).with_name(KEYSPACE)
 T0 = 1_500_000_000 * 10**9
-SIDE_TABLES = ("cr_connection", "cr_definition", "cr_node", "cr_bucket")
-SIDE_TABLES_2 = ("cr_active",)
-"""Those of schema version 2 in addition."""
+SIDE_TABLES = ("cr_connection", "cr_definition", "cr_node", "cr_bucket", "cr_active")
 THING = "int32 number\nstring[] names\nlost_msgs/Part[] parts\n" + "=" * 80
 THING += "\nMSG: lost_msgs/Part\ntime stamp\nfloat32 value\n"
 THING_WIRE = b"\7\0\0\0" + b"\1\0\0\0\2\0\0\0hi" + b"\1\0\0\0" + bytes(8) + b"\0\0\x80?"
@@ -190,7 +187,7 @@ def main(host, port, *forms):
                 names[table] = f"{part}_{values['md5sum'][:4]}"
                 names[table + "_c"] = names[table] + "_chunks"
         for table, comment in tables:
-            if table in names or table in (*SIDE_TABLES, *SIDE_TABLES_2):
+            if table in names or table in SIDE_TABLES:
                 path = FOLDER / f"{names.get(table, table)}.json"
                 keep(path, dump(rosCas, table, comment), bool(forms))
         keep(FOLDER / "expected.json", expected(rosCas), bool(forms))

@@ -145,9 +145,9 @@ def test_reads_of_many_robots_equal_a_plain_list(rosCas, connect, form, steps):
         fleet.close()
 
 
-def filled(rosCas, form="binary"):
+def filled(rosCas):
     """Return a fleet with closed and open buckets and deletions."""
-    fleet = Fleet(rosCas, form)
+    fleet = Fleet(rosCas, "binary")
     fleet.write([(robot, n * SEC // 2) for n, robot in enumerate(ROBOTS)])
     fleet.delete(0, SEC // 8, None)
     fleet.close()
@@ -159,45 +159,6 @@ def filled(rosCas, form="binary"):
 def place_of(store, fleet):
     (table,) = store.getTopic(fleet.topic).tables
     return table, store.catalog.keyspace.directory
-
-
-@pytest.mark.suite("all", "rows of an earlier release")
-@pytest.mark.parametrize("form", FORMATS)
-def test_a_table_of_an_earlier_release_is_read_by_robot_until_it_is_repaired(
-    rosCas, connect, cql, monkeypatch, form
-):
-    # Nothing is listed or closed meanwhile.
-    monkeypatch.setattr("cassandra_ros.store.rows.writer.HEARTBEAT_SEC", 1e9)
-    fleet = filled(rosCas, form)
-    table, _ = place_of(rosCas, fleet)
-    cql.execute(
-        f"ALTER TABLE {table.qualified} WITH comment = "
-        f"'{table.metadata.with_(version=1).to_comment()}'"
-    )
-    slots = {slot_of(table.bucket_of(t)) for t, *_ in fleet.messages}
-    active = f"{rosCas.keyspace}.cr_active"
-    for slot in slots:
-        cql.execute(f"DELETE FROM {active} WHERE tbl = %s AND slot = %s", (table.name, slot))
-    count = f"SELECT count(*) FROM {active} WHERE tbl = %s AND slot IN %s"
-
-    def listed():
-        from cassandra.query import ValueSequence
-
-        return cql.execute(count, (table.name, ValueSequence(sorted(slots)))).one()[0]
-
-    with connect(keyspace=rosCas.keyspace) as other:
-        assert not other.getTopic(fleet.topic).tables[0].metadata.by_time
-        fleet.check(other)
-        # Not while it is written: an earlier release would go on listing its buckets by robot.
-        assert other.upkeep.check([fleet.topic], repair=True).left == 0
-        assert listed() == 0
-        fleet.close()
-        time.sleep(CLOCKS_SEC + 0.1)  # what was deleted above is older than what is written now
-        assert other.upkeep.check([fleet.topic], repair=True).left == 0
-        assert listed() > 0
-        assert other.getTopic(fleet.topic).tables[0].metadata.by_time
-        fleet.check(other)
-        assert not other.upkeep.check([fleet.topic]).damages
 
 
 def test_a_writer_that_was_killed_before_its_first_message_hides_nothing(rosCas, connect):

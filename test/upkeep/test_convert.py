@@ -360,7 +360,7 @@ def test_blocks_cover_what_the_rate_asks_for(rosCas):
 
 
 def test_what_comes_into_the_old_table_after_all_is_taken_along(rosCas, connect, monkeypatch):
-    """As an earlier release does, which knows nothing of conversions."""
+    """As a client does that cannot read the comments."""
     fill(rosCas, "ros", 20)
     topic, finish = rosCas.getTopic("/t"), replacement.finish
     with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
@@ -388,7 +388,7 @@ def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, conne
     written_into = []
     with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
         handle = writer.connect(next(topic.rows()).connection)
-        # As where it cannot read the comments, or is of an earlier release.
+        # As where it cannot read the comments.
         monkeypatch.setattr(other.catalog.keyspace.schema, "takes_rows", lambda table: True)
 
         def write_once():
@@ -551,7 +551,7 @@ def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
 
 
 def test_what_is_deleted_between_copy_and_switch_does_not_come_back(rosCas, monkeypatch):
-    """As an earlier release deletes, which knows nothing of conversions."""
+    """As a client deletes that does not know of the conversion yet."""
     fill(rosCas, "ros", 20)
     topic, compare, deleted = rosCas.getTopic("/t"), copying.TableCopy.compare, []
 

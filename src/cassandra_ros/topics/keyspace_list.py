@@ -45,7 +45,7 @@ def list_keyspaces(cassandra: Cassandra) -> list[KeyspaceInfo]:
         try:
             metadata = from_comment(comment or "", f"{keyspace}.{table}")
         except UnsupportedSchema:
-            continue  # made by a newer release; connecting to this keyspace raises an error
+            continue  # of another version; connecting to this keyspace raises an error
         if metadata is not None and not metadata.filling:
             topics.setdefault(keyspace, set()).add(metadata.topic)
             tables[keyspace] += 1
@@ -64,7 +64,7 @@ def tables_of_others(cassandra: Cassandra, keyspace: str) -> list[str]:
             if table in SIDE_TABLES or from_comment(comment or "", f"{keyspace}.{table}"):
                 return []
         except UnsupportedSchema:
-            return []  # made by a newer release
+            return []  # of another version
     return sorted(table for table, _ in rows)
 
 

@@ -82,14 +82,9 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
     # them.
     first = ends[0] if low <= 0 else -(-low // length)
     last = ends[1] if high >= MAX_NS else (high + 1) // length - 1
-    metadata = table.metadata
     count = 0
     rows: list[BucketRow] = []
-    if (
-        whose.writers is None
-        and not metadata.ttl
-        and directory.reads_by_time(metadata, whose.nodes)
-    ):
+    if whose == EVERYBODY and not table.metadata.ttl:
         if first <= last:
             count, rows = directory.count_closed(table.name, first, last)
         for edge in {end for end in ends if not first <= end <= last}:

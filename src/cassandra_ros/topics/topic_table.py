@@ -132,7 +132,7 @@ class TopicTable(RowTable):
             text = connection.definition_text
             if connection.type != definition.type or (text and text != definition.text):
                 # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or with
-                # another text. Earlier releases kept arrays of messages here, too, beside messages.
+                # another text.
                 definition = read_definition(connection.type, text, md5sum)
             return message_class(definition)
         except DefinitionError as exc:

@@ -499,8 +499,7 @@ def _stored_formats(keyspace: Keyspace, connection: Connection, run: Run) -> set
     return {
         table.metadata.format
         for table in tables
-        # Earlier releases kept all types of an unknown md5sum in one table.
-        if table.kind._replace(msg_type=kind.msg_type) == kind
+        if table.kind == kind
         and keyspace.connections.has(table.name, connection)
         and holds_any(keyspace.directory, [table], whose)
     }

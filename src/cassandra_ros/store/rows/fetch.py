@@ -89,7 +89,7 @@ def first_at(
     places = [
         (table, node)
         for table in tables
-        for node in sorted(_probable(directory, table) if nodes is None else nodes)
+        for node in sorted(_probable(table) if nodes is None else nodes)
     ]
     row = _best(places, t)
     if row is not None or nodes is not None:
@@ -103,22 +103,16 @@ def first_at(
     return _best(others, t)
 
 
-def _probable(directory: Directory, table: RowTable) -> Collection[str]:
+def _probable(table: RowTable) -> Collection[str]:
     """Return the nodes that are asked before the directory tells which have rows."""
-    many = len(table.known_nodes) > FEW_NODES
-    by_time = many and directory.reads_by_time(table.metadata, None)
-    return () if by_time else table.known_nodes
+    return table.known_nodes if len(table.known_nodes) <= FEW_NODES else ()
 
 
 def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[], set[str]]:
     """Request the nodes that may have rows with a key time; return what waits for the answer."""
     bucket = table.bucket_of(t)
-    slot = slot_of(bucket)
-    if directory.reads_by_time(table.metadata, None):
-        rows = directory.begin_active(table.name, slot, bucket, bucket)
-        return lambda: {r.node for r in rows() if not r.closed or r.t_min <= t <= r.t_max}
-    answer = directory.begin_nodes(table.name, (slot, slot))
-    return lambda: {node for _, node in answer()}
+    rows = directory.begin_active(table.name, slot_of(bucket), bucket, bucket)
+    return lambda: {r.node for r in rows() if not r.closed or r.t_min <= t <= r.t_max}
 
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
@@ -158,8 +152,7 @@ def beside(
         bucket = table.bucket_of(t)
         cached_nodes = nodes or ()
         if nodes is None:
-            few = directory.has_few_nodes(table.name, slot_of(bucket))
-            if not few and directory.reads_by_time(table.metadata, nodes):
+            if not directory.has_few_nodes(table.name, slot_of(bucket)):
                 buckets.append((table, directory.begin_bucket(table.name, bucket)))
                 continue
             cached_nodes, answer = directory.begin_slot(table.name, slot_of(bucket))

@@ -11,8 +11,7 @@ Each entry is kept twice. ``cr_bucket`` lists the buckets of one robot, and is w
 compares itself with. ``cr_active`` lists the buckets of all robots in the order of time: of a
 thousand robots few are active at any time, and a question about a time reads only their entries.
 Both are written by one request, so the rules above hold for each of them. The two heartbeats of an
-entry may differ by milliseconds: compare those of cr_bucket. A table of schema version 1 has
-entries that only cr_bucket lists, and is read by robot (``TopicMetadata.by_time``).
+entry may differ by milliseconds: compare those of cr_bucket.
 
 A topic that was recorded for a year has half a million buckets of a minute, and a read of its last
 message needs one of them. So a read goes through the directory slot by slot, in windows that grow
@@ -150,7 +149,7 @@ def slot_of(bucket: int) -> int:
     return bucket // SLOT_BUCKETS
 
 
-_OWN_TABLES = ("cr_node", "cr_bucket")
+_OWN_TABLES = ("cr_node", "cr_bucket", "cr_active")
 _COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
 _ACTIVE_COLUMNS = "bucket, node, writer, entry, deleted, heartbeat, toTimestamp(now())"
 _EVER = (-(2**63), 2**63 - 1)
@@ -287,14 +286,14 @@ answer."""
 
 
 class Directory:
-    """Reads and writes cr_node and cr_bucket of one keyspace."""
+    """Reads and writes cr_node, cr_bucket and cr_active of one keyspace."""
 
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
         self._tables = side_tables
-        self._node_table, self._bucket_table = map(side_tables.qualified, _OWN_TABLES)
-        self._active_table = side_tables.qualified("cr_active")
-        self._made = self._has_active = False
+        names = map(side_tables.qualified, _OWN_TABLES)
+        self._node_table, self._bucket_table, self._active_table = names
+        self._made = False
         self._noted: dict[tuple[str, int, str], float] = {}
         self.seen: dict[str, dict[int, tuple[str, ...]]] = {}
         """Table → slot → nodes, as listed last; may be out of date, or only some of many."""
@@ -314,11 +313,6 @@ class Directory:
         self._made = self._made or all(map(self._tables.has, _OWN_TABLES))
         return self._made
 
-    def _lists_by_time(self) -> bool:
-        """Return whether cr_active exists, which is missing until this release has written once."""
-        self._has_active = self._has_active or self._tables.has("cr_active")
-        return self._has_active
-
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """Return the (slot, node) pairs of a table for slots in [first_slot, last_slot]."""
         return self.begin_nodes(table, (first_slot, last_slot))()
@@ -336,14 +330,6 @@ class Directory:
         what, retry_sec = "reading the directory of nodes", self._tables.retry_sec
         return self._cassandra.begin(cql, (table, *slots, limit), what=what, retry_sec=retry_sec)
 
-    def reads_by_time(self, metadata: TopicMetadata, nodes: Sequence[str] | None) -> bool:
-        """Return whether the buckets of a table are read from cr_active.
-
-        Args:
-            nodes: The nodeIDs to read; None = all.
-        """
-        return metadata.by_time and nodes is None and self._lists_by_time()
-
     def buckets(
         self,
         table: str,
@@ -360,7 +346,7 @@ class Directory:
         Returns:
             One row for each writer; do not compare the heartbeats with others.
         """
-        if self.reads_by_time(metadata, nodes):
+        if nodes is None:
             rows = self.buckets_by_time(table, first, last)
         else:
             rows = self.buckets_by_robot(table, first, last, nodes)
@@ -414,6 +400,8 @@ class Directory:
 
         The answer has at most ``limit`` rows, from the first bucket on or (reverse) from the last.
         """
+        if not self._is_made():
+            return list
         order = " ORDER BY bucket DESC, node DESC, writer DESC" * reverse
         cql = (
             f"SELECT {_ACTIVE_COLUMNS} FROM {self._active_table} "
@@ -427,12 +415,12 @@ class Directory:
     def count_closed(self, table: str, first: int, last: int) -> tuple[int, list[BucketRow]]:
         """Count the messages of all robots in the closed buckets in [first, last].
 
-        Only of a table that is read by time.
-
         Returns:
             The number of messages, and the rows of the buckets that are not counted: in these some
             writer's counts are not final.
         """
+        if not self._is_made():
+            return 0, []
         slots = self._slots_between(table, slot_of(first), slot_of(last))
         ranges = ((table, slot, first, last) for slot in slots)
         count, others = count_closed(self._cassandra, self._active_table, ranges)
@@ -575,9 +563,7 @@ class Directory:
             columns.update(totals.columns() if totals is not None else {})
             counts = UNKNOWN if totals is None else tuple(totals.columns().values())
             active["entry"] = ActiveEntry(closed, counts, filled).encoded()
-        both = [(self._bucket_table, columns)]
-        if self._lists_by_time():
-            both.append((self._active_table, active))
+        both = ((self._bucket_table, columns), (self._active_table, active))
         # One request, which is acknowledged when both are written; both get one write time.
         inserts = "; ".join(
             f"INSERT INTO {listing} ({', '.join(some)}, heartbeat) "
@@ -609,7 +595,7 @@ class Directory:
             what=what,
         )
         is_done = bool(answer[0][0])
-        if is_done and self._lists_by_time():
+        if is_done:
             entry = ActiveEntry(True, tuple(totals.columns().values()), row.filled).encoded()
             # Later than what was read, and earlier than each mark since, whose values then stay.
             self._cassandra.execute(
@@ -620,27 +606,23 @@ class Directory:
             )
         return is_done
 
-    def list_by_time(self, table: str, rows: Iterable[BucketRow], ttl: int, since_us: int) -> None:
-        """Write rows that were read from cr_bucket into cr_active.
+    def put_by_time(self, table: str, row: BucketRow, ttl: int, since_us: int) -> None:
+        """Write a row that was read from cr_bucket into cr_active.
 
         Args:
             ttl: Lifetime of the table's rows, seconds; 0 = for ever.
-            since_us: Server time before the rows were read, us: what was marked later stays.
+            since_us: Server time before the row was read, us: what was marked later stays.
         """
-        since_us -= int(CLOCKS_SEC * 10**6)
-        columns = ("tbl", "slot", "bucket", "node", "writer", "entry", "deleted", "heartbeat")
-        values = [
-            (
-                *(table, slot_of(row.bucket), row.bucket, row.node, row.writer),
-                ActiveEntry(not row.writing, row.counts, row.filled).encoded(),
-                *(row.cut, row.heartbeat, since_us, _ttl(ttl)),
-            )
-            for row in rows
-        ]
-        self._cassandra.execute_many(
+        columns = {
+            **_key((table, row.node, row.bucket, row.writer)),
+            "entry": ActiveEntry(not row.writing, row.counts, row.filled).encoded(),
+            "deleted": row.cut,
+            "heartbeat": row.heartbeat,
+        }
+        self._cassandra.execute(
             f"INSERT INTO {self._active_table} ({', '.join(columns)}) "
             f"VALUES ({', '.join('?' * len(columns))}) USING TIMESTAMP ? AND TTL ?",
-            values,
+            (*columns.values(), since_us - int(CLOCKS_SEC * 10**6), _ttl(ttl)),
             what="writing the directory by time",
             retry_sec=self._tables.retry_sec,
         )
@@ -655,9 +637,8 @@ class Directory:
         slots = [(table, node, slot) for slot, node in self.nodes(table, *_EVER)]
         key = ("tbl", "node", "slot")
         self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
-        if self._lists_by_time():
-            by_time = sorted({(table, slot) for _, _, slot in slots})
-            self._tables.delete("cr_active", ("tbl", "slot"), by_time, "clearing the directory")
+        by_time = sorted({(table, slot) for _, _, slot in slots})
+        self._tables.delete("cr_active", ("tbl", "slot"), by_time, "clearing the directory")
         self.seen.pop(table, None)
         for reverse in (False, True):
             self.first.pop((table, reverse), None)
@@ -694,7 +675,7 @@ class BucketWalk:
         self._ttl = metadata.ttl
         self._reverse = reverse
         self._few = few
-        self._by_time = directory.reads_by_time(metadata, nodes)
+        self._by_time = nodes is None
         self.met: set[str] = set()
 
     def groups(self) -> Iterator[BucketGroup]:

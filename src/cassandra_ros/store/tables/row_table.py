@@ -39,7 +39,7 @@ from cassandra_ros.store.connection.requests import (
 UNSET = UNSET_VALUE
 LARGE_MESSAGE_CHUNK_BYTES = 512 * 1024
 """Size of a chunk of a message, bytes. A larger message goes to the chunk table in pieces of this
-size (schema version 1)."""
+size. Another size is another schema version."""
 INLINE_COLUMN_BYTES = 64 * 1024
 """Maximum size of a column in the row of a chunked message, bytes. Larger columns are left
 unset."""

@@ -16,7 +16,7 @@ import time
 from typing import Callable, Collection, Iterable, Mapping, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
-from cassandra_ros.metadata import SCHEMA_VERSION, SHADOW, Kind, TopicMetadata, from_comment
+from cassandra_ros.metadata import SHADOW, Kind, TopicMetadata, from_comment
 from cassandra_ros.store.connection.cassandra import Cassandra, CqlRow, SchemaChange
 from cassandra_ros.store.connection.cql_names import (
     chunk_table_name,
@@ -462,14 +462,6 @@ class Schema:
             what=f"changing the metadata of topic {metadata.topic}",
         )
 
-    def raise_version(self, table: str) -> None:
-        """Note in the comment of a table that it is as this release makes tables."""
-        with self.lock() as lock:
-            metadata = self.listing(fresh=True).visible.get(table)
-            if metadata is not None:
-                self.set_comment(table, metadata.with_(version=SCHEMA_VERSION), lock)
-        self.tables(fresh=True)
-
     def drop_topic(self, topic: str, *, renew: bool = False) -> list[str]:
         """Drop all tables of a topic; return their names and those of tables that they replaced.
 
@@ -525,7 +517,7 @@ def _new_table(
     """
     if shadows is not None:
         columns = {**_own_columns(metadata), **columns, **shadows}
-    final = metadata.with_(generation=time.time_ns(), version=SCHEMA_VERSION)
+    final = metadata.with_(generation=time.time_ns())
     name = table_name(final.topic, final.md5sum, final.format, final.generation)
     return _NewTable(name, final, dict(columns), large)
 

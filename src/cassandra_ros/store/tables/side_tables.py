@@ -26,6 +26,7 @@ from cassandra_ros.errors import (
     SchemaConflict,
     StoreUnavailable,
 )
+from cassandra_ros.metadata import SIDE_COMMENT
 from cassandra_ros.store.connection.cassandra import Cassandra, CqlRow, SchemaChange
 from cassandra_ros.store.connection.cql_names import qualified, quote_name, quote_text
 from cassandra_ros.store.connection.requests import RETRY_SEC, Seconds
@@ -135,13 +136,6 @@ LATER_TABLES = {
         "heartbeat timestamp, PRIMARY KEY ((target, tbl, node, slot), bucket, writer)"
     ),
 }
-_COMMENT = "cassandra_ros side table, schema version 1"
-_COLUMN = re.compile(r"(?:^|, )([a-z0-9_]+) (?:frozen<|[a-z]+)")
-
-
-def column_names(columns: str) -> set[str]:
-    """Return the names of the columns in the definition of a side table."""
-    return set(_COLUMN.findall(columns.partition("PRIMARY KEY")[0]))
 
 
 class SchemaLock:
@@ -429,7 +423,7 @@ class SideTables:
                         [
                             (
                                 f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
-                                f"({tables[name]}) WITH comment = {quote_text(_COMMENT)}",
+                                f"({tables[name]}) WITH comment = {quote_text(SIDE_COMMENT)}",
                                 f"making table {name}",
                             )
                             for name in sorted(set(tables) - there)

@@ -7,12 +7,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Collection, Iterable
 
-from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.read import TimeRange, Whose
 from cassandra_ros.store.tables.event_table import Event, EventTable
 from cassandra_ros.store.tables.registry import Run
-from cassandra_ros.store.tables.side_tables import LATER_TABLES, SIDE_TABLES, column_names
 from cassandra_ros.stores.copying.table_pair import TablePair
 from cassandra_ros.topics.keyspace import Keyspace
 
@@ -20,26 +18,6 @@ _CONTEXT = "cr_context"
 _CONTEXT_COLUMNS = ("writer", "node", "heartbeat", "interrupted", "context")
 _SENT = "cr_sent"
 _SENT_COLUMNS = ("writer", "node", "stripe", "sent")
-
-
-def check_schema(there: Keyspace) -> None:
-    """Check that the side tables of a keyspace have the columns that this release writes.
-
-    Raises:
-        UnsupportedSchema: Another release made one of them.
-    """
-    there.schema.tables(fresh=True)  # raises for topics of a newer release
-    wanted = {**SIDE_TABLES, **LATER_TABLES}
-    names = sorted(wanted)
-    columns = there.cassandra.system_schema_of("columns", "column_name", there.name, names)
-    for name, rows in zip(names, columns):
-        missing = column_names(wanted[name]).difference(column for (column,) in rows)
-        if rows and missing:
-            raise UnsupportedSchema(
-                f"table {there.name}.{name} of the target has no column {sorted(missing)[0]}: an "
-                "older release of cassandra_ros, or another program, made it; use one release on "
-                "both sides"
-            )
 
 
 def copy_headers(pairs: Collection[TablePair]) -> None:

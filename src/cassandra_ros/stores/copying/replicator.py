@@ -38,7 +38,6 @@ from cassandra_ros.stores.copying.bucket_copy import (
     PieceCopy,
 )
 from cassandra_ros.stores.copying.context_copy import (
-    check_schema,
     copy_events,
     copy_headers,
     copy_losses,
@@ -118,7 +117,7 @@ class Replicator:
     Raises:
         InvalidOption: Source and target are the same keyspace, or with_deletions and a source that
             is read from fewer copies than a quorum.
-        UnsupportedSchema: Another release made the tables of the target.
+        UnsupportedSchema: The target has another schema version.
         TopicNotFound, RunNotFound, InvalidName, InvalidKey: As readMessages.
     """
 
@@ -155,7 +154,7 @@ class Replicator:
         self._target: UUID | None = None
         self._connected: set[str] = set()
         """Tables of which all connections were copied."""
-        check_schema(self._there)
+        self._there.schema.tables(fresh=True)  # raises UnsupportedSchema
         there = target_id(self._there.cassandra, self._there.name)
         if with_deletions and not self._here.cassandra.finds_all_written:
             raise InvalidOption(

@@ -196,10 +196,7 @@ class _Check:
             self._read(table, node, bucket, rows, total)
             self._compare(table, node, bucket)
         self._slots(table, set(groups))
-        if table.metadata.by_time:
-            self._by_time(table, low, high)
-        elif self._repair and self._time_range == TimeRange():
-            self._list_by_time(table)
+        self._by_time(table, low, high)
 
     def _read(
         self, table: TopicTable, node: str, bucket: int, rows: list[BucketRow], total: int
@@ -356,7 +353,7 @@ class _Check:
     ) -> None:
         directory, mended = self._space.directory, False
         if self._repair:
-            directory.list_by_time(table.name, [row], table.metadata.ttl, since_us)
+            directory.put_by_time(table.name, row, table.metadata.ttl, since_us)
             entries = directory.find_active(table.name, row.node, row.bucket)
             mended = not _differs(row, next((r for r in entries if r.writer == row.writer), None))
         fault = "has other counts" if listed else "is missing"
@@ -370,16 +367,6 @@ class _Check:
             "time, so reads of all robots may miss them; --repair puts the directory right",
             mended=mended,
         )
-
-    def _list_by_time(self, table: TopicTable) -> None:
-        """List the buckets of a table of schema version 1 by time, too, unless one is written."""
-        self._space.side_tables.make()
-        since_us = self._space.cassandra.server_time_us()
-        rows = self._space.directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
-        if any(row.writing and row.age_sec <= STALE_SEC for row in rows):
-            return
-        self._space.directory.list_by_time(table.name, rows, table.metadata.ttl, since_us)
-        self._space.schema.raise_version(table.name)
 
     def _count_open_bucket(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
         """Count a bucket that is not closed; that its counts are estimates is no damage."""
