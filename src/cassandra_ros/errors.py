@@ -207,7 +207,9 @@ class InvalidQuery(CassandraRosError, ValueError):
         start = statement.rfind("\n", 0, self.position) + 1
         end = statement.find("\n", self.position)
         line = statement[start : end if end >= 0 else len(statement)]
-        caret = " " * (self.position - start) + "^"
+        # Tabs stay, so that the caret is under the character however wide a terminal makes them.
+        before = statement[start : self.position]
+        caret = "".join("\t" if c == "\t" else " " for c in before) + "^"
         super().__init__(f"{reason}\n  {line}\n  {caret}")
 
     def __reduce__(self) -> tuple[object, ...]:

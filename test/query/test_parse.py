@@ -9,6 +9,7 @@ import time
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from query.carets import check_caret
 from suites import search
 
 from cassandra_ros.errors import InvalidQuery
@@ -312,6 +313,25 @@ def test_errors_point_at_the_spot(text, params, spot, word):
     assert word in caught.value.reason
     lines = str(caught.value).split("\n")
     assert lines[-1].strip() == "^"
+
+
+@pytest.mark.parametrize("blank", [" ", "\n", "\n\n   ", "\t", "\n\t", " \t\n \t  \t", "\r\n  "])
+@pytest.mark.parametrize(
+    ("words", "spot"),
+    [
+        ("select a frm t where x is 5", "frm"),
+        ("select a from t where x is 5 limit 3", "5"),
+        ("select a, \"ü\", b from t where a = 'é' oder b = 2", "oder"),
+        ("select a from t where x like", ""),
+        ("delete from t wher a = 1", "wher"),
+    ],
+)
+def test_the_caret_stands_under_the_spot(words, spot, blank):
+    text = words.replace(" ", blank)
+    with pytest.raises(InvalidQuery) as caught:
+        parse_statement(text)
+    assert caught.value.position == (text.index(spot) if spot else len(text))
+    check_caret(caught.value)
 
 
 def test_statements_that_change_the_store():

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pytest
 from geometry_msgs.msg import TransformStamped
 from proxy import Proxy
+from query.carets import check_caret
 from sensor_msgs.msg import BatteryState, Imu
 from std_msgs.msg import String, UInt64
 from tf2_msgs.msg import TFMessage
@@ -403,6 +404,26 @@ def test_an_error_shows_the_place(robot):
     with pytest.raises(InvalidQuery) as error:
         robot.sql("SELECT KEY,\n  voltag FROM battery")
     assert error.value.position == len("SELECT KEY,\n  ")
+
+
+@pytest.mark.parametrize("blank", [" ", "\n", "\n\n   ", "\t", "\n\t", " \t\n \t  \t", "\r\n  "])
+@pytest.mark.parametrize(
+    ("words", "spot"),
+    [
+        ("SELECT KEY, voltag FROM battery LIMIT 3", "voltag"),
+        ("SELECT voltage FROM batery WHERE voltage > 1", "batery"),
+        ("SELECT voltage FROM battery WHERE voltage > 1 )", ")"),
+        ("SELECT 1 FROM battery WHERE voltage = DATE '2020-01-01' LIMIT 3", "voltage ="),
+        ("SELECT 'é日本' FROM battery WHERE voltage = DATE '2020-01-01'", "voltage ="),
+    ],
+)
+def test_the_caret_stands_under_the_spot(robot, words, spot, blank):
+    """In a statement of one line or of several; sqlglot, DuckDB or we ourselves find the spot."""
+    text = words.replace(" ", blank)
+    with pytest.raises(InvalidQuery) as caught:
+        robot.sql(text).fetchall()
+    assert caught.value.position == text.index(spot.replace(" ", blank))
+    check_caret(caught.value)
 
 
 def test_names_that_differ_by_case_are_refused_together(rosCas):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 import weakref
 from concurrent import futures
 from contextlib import contextmanager
@@ -44,6 +45,8 @@ _LOOK_SEC = 0.1
 """Interval at which a running statement looks whether it was cancelled, and at which one that was
 cancelled is interrupted again, s."""
 _QUOTED = re.compile(r'"((?:[^"]|"")+)"')
+_NO_WIDTH = ("Cc", "Cf", "Me", "Mn")
+"""Categories of characters that take no column: controls, tabs too, and marks on others."""
 _T = TypeVar("_T")
 
 
@@ -406,7 +409,27 @@ def _caret(statement: str, text: str) -> int:
     begin = sum(len(earlier_line) + 1 for earlier_line in lines[:line])
     # A long line is cut at both ends.
     bare = shown.strip(".")
-    return begin + max(0, lines[line].find(bare)) + column - (len(shown) - len(shown.lstrip(".")))
+    column -= len(shown) - len(shown.lstrip("."))
+    cut = max(0, lines[line].find(bare))
+    return begin + cut + _index_of_column(lines[line][cut:], column)
+
+
+def _index_of_column(line: str, column: int) -> int:
+    """Return the index of the character at a column, as DuckDB counts columns: tabs take none."""
+    taken = 0
+    for index, c in enumerate(line):
+        width = _width(c)
+        if width and taken >= column:
+            return index
+        taken += width
+    return len(line)
+
+
+def _width(c: str) -> int:
+    """Return the number of columns that DuckDB counts for a character."""
+    if unicodedata.category(c) in _NO_WIDTH:
+        return 0
+    return 2 if unicodedata.east_asian_width(c) in ("F", "W") else 1
 
 
 def needed_columns(tree: Any) -> Wanted | None:
