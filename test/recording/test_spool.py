@@ -10,6 +10,7 @@ import shutil
 import time
 from concurrent.futures import Future
 from functools import partial
+from pathlib import Path
 
 import pytest
 from cassandra import Unauthorized
@@ -24,11 +25,15 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.errors import SpoolError, WriteFailed
 from cassandra_ros.files.spool.segment_writer import SegmentWriter
 from cassandra_ros.files.spool.spool_folder import RunFolder, SpoolFolder
+from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.recording import spool_drain
 from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.left_runs import lines_of
 from cassandra_ros.recording.message_buffer import LONGEST_BUCKET_NS
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.spool_drain import Drain, read_left
+from cassandra_ros.recording.topic_settings import RecordingSettings, settings_as_json
 from cassandra_ros.store.tables.registry import LossKind
 
 pytestmark = pytest.mark.suite("all", "it kills or cuts something, and waits")
@@ -286,6 +291,66 @@ def test_a_topic_that_may_not_be_written_stays_alone(proxy, store, rosCas, folde
     (run,) = rosCas.runs()
     assert run.state == "ended"
     assert folder.runs() == []
+
+
+@pytest.mark.suite("test", "promise 1: the counts of a run are right, however it was drained")
+@pytest.mark.parametrize("ends", ["replaced", "killed", "no room"])
+def test_what_is_lost_is_told_once_by_two_drains(rosCas, folder, monkeypatch, ends):
+    """The first leaves a topic that may not be written, and perhaps its file with all messages."""
+    left_with_damage(rosCas, folder)
+    (left,) = folder.left()
+    drained = Drain(rosCas.catalog, read_left(left))
+    made = drained._writer
+    drained._writer = lambda number: Denied(made(number), drained, "/other")
+
+    def fail(*_):
+        raise OSError(errno.ENOSPC, "no room")
+
+    with monkeypatch.context() as patch:
+        if ends == "killed":  # between the note that the file is settled and its replacement
+            patch.setattr(Path, "replace", fail)
+        elif ends == "no room":
+            patch.setattr(spool_drain, "SegmentWriter", fail)
+        done = drained.run()
+    left.release()
+    assert (done.complete, list(done.stays), done.messages) == (False, ["/other"], 35)
+    assert done.lost == {"/text": 5, "/other": 5}
+    rosCas.getTopic("/text").removeData(Time(0), Time(2**32 - 1))  # it does not come back as lost
+    losses = rosCas.losses()
+    assert [(each.topic, each.kind, each.count) for each in losses] == [
+        (topic, LossKind.SPOOL_DAMAGED, 5) for topic in ("/text", "/other")
+    ]
+    (done,) = drain(rosCas, folder)
+    assert done.complete
+    assert [each for each in rosCas.losses() if each.kind == LossKind.SPOOL_DAMAGED] == losses
+    (run,) = rosCas.runs()
+    assert run.lost == {"/text": 5 + 2, "/other": 5}
+    assert run.stored == {"/text": 35, "/other": 35}
+    assert len(rows_of(rosCas, "/other")) == 35
+
+
+def left_with_damage(rosCas, folder):
+    """Leave a run of two files with 40 messages each of two topics; a chunk of ten is damaged."""
+    begun = 1_600_000_000 * 10**9
+    settings = settings_as_json(RecordingSettings())
+    label = SpoolLabel(7, 7, rosCas.keyspace, "", begun, node="husky", settings=settings)
+    run_folder, totals = folder.begin(7), {}
+    connections = [live_connection(topic, header_of(String)) for topic in ("/text", "/other")]
+    for first in (0, 40):
+        segment = SegmentWriter(run_folder.new_file(), label, totals)
+        for begin in range(first, first + 40, 10):
+            numbers = range(begin, begin + 10)
+            segment.append([(connections[n % 2], begun + n, n, text(f"{n:090}")) for n in numbers])
+        if first:
+            full = ("/text", LossKind.BUFFER_FULL.value, begun + 90, begun + 92, 2)
+            stored = {"/text": 40, "/other": 40}
+            segment.finish(RunEnd(begun + 100, stored, {"/text": 2}, [full]))
+        segment.close()
+    path = run_folder.files()[0]
+    content = bytearray(path.read_bytes())
+    content[content.index(f"{15:090}".encode())] ^= 1
+    path.write_bytes(content)
+    run_folder.release()
 
 
 def test_the_end_that_is_missing_is_told_before_the_files_go(

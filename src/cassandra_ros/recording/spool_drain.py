@@ -412,12 +412,28 @@ class Drain:
         for topic, kind, first, last, count in end.losses:
             loss = Loss(topic, label.node, label.run, LossKind(kind), first, last, count)
             registry.put_loss(loss)
-        missing = self._done.lost
+        missing = self._missing_of_all_drains(end)
         stored = {t: max(n - missing[t], 0) for t, n in end.stored.items() if n}
         lost = Counter(end.lost) + missing
         del lost[""]
         ended = _time(end.ended_ns)
         registry.put_run(replace(self._run(), stored=stored, lost=dict(lost), ended=ended))
+
+    def _missing_of_all_drains(self, end: RunEnd) -> Counter[str]:
+        """Return the number of messages by topic that this drain and earlier ones have lost.
+
+        Earlier ones have stored their losses and deleted the files. The recorder's own losses are
+        stored, too, and are counted in the end of the run.
+        """
+        topics = {*end.stored, *end.lost, *self._done.lost}
+        told: Counter[str] = Counter()
+        for loss in self._space.registry.losses(sorted(topics)) if topics else ():
+            if loss.writer == self._label.run:
+                told[loss.topic] += loss.count
+        missing = Counter(self._done.lost)
+        for topic, count in told.items():
+            missing[topic] = max(missing[topic], count - end.lost.get(topic, 0))
+        return +missing
 
     def _note_gap(self) -> None:
         """Tell what may be missing after the last message of a killed recorder."""
