@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import resource
 import shutil
 import subprocess
 import zlib
+from collections import Counter
+from contextlib import contextmanager
 
 import pytest
 from hypothesis import given
@@ -18,7 +22,7 @@ from cassandra_ros.errors import SpoolError
 from cassandra_ros.files.bag.mcap_format import MAGIC
 from cassandra_ros.files.bag.mcap_reader import McapReader
 from cassandra_ros.files.spool.segment_reader import SegmentReader
-from cassandra_ros.files.spool.segment_writer import SegmentWriter
+from cassandra_ros.files.spool.segment_writer import LARGE_BYTES, SegmentWriter
 from cassandra_ros.files.spool.spool_folder import SpoolFolder
 from cassandra_ros.files.spool.spool_label import (
     VERSION,
@@ -204,6 +208,56 @@ def test_a_full_disk_leaves_the_file_as_it_was(tmp_path):
     writer.append([(one, 3, 2, b"c")])
     writer.close()
     assert [wire for *_, wire in read(tmp_path / "000001.mcap")[0]] == [b"a", b"c"]
+
+
+@contextmanager
+def room_for(nbytes):
+    """No file of this process may become larger meanwhile."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (nbytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("wire_bytes", [5, 3 * LARGE_BYTES], ids=["small", "large"])
+def test_a_disk_that_fills_within_a_chunk_leaves_the_file_as_it_was(tmp_path, wire_bytes):
+    """What was written of the chunk is taken back, and the next chunk stands in its place."""
+    path = tmp_path / "000001.mcap"
+    writer = SegmentWriter(path, LABELLED)
+    connections, expected = [], []
+
+    def append():
+        # Each chunk begins a connection: if it is refused, a later chunk has its definition.
+        number = len(connections)
+        connections.append(connection(number))
+        wire = bytes([number]) * wire_bytes
+        messages = [(each, 10**18 + number, number, wire) for each in connections]
+        writer.append(messages)
+        expected.extend(messages)
+
+    append()
+    for room in (0, 1, 9, 60, 150, wire_bytes, 2 * wire_bytes):
+        with room_for(writer.size + room), pytest.raises(OSError) as caught:
+            append()
+        assert caught.value.errno == errno.EFBIG
+        assert path.stat().st_size == writer.size
+        append()
+    with room_for(writer.size + 40), pytest.raises(OSError):
+        writer.finish(ENDED)
+    writer.finish(ENDED)
+    with room_for(writer.size + 10):
+        writer.close()
+    found, parts = read(path)
+    assert found == expected
+    assert not any(part.damage or part.missing for part in parts)
+    assert SegmentReader(path).end().stored == ENDED.stored
+    with McapReader(path, salvage=True) as reader:
+        assert [message.data for message in reader.messages()] == [wire for *_, wire in expected]
+    *_, totals = [part.totals for part in parts if part.totals is not None]
+    counts = Counter(each.topic for each, *_ in expected)
+    assert {topic: total.count for topic, total in totals.items()} == counts
 
 
 def test_two_processes_do_not_touch_each_others_files(tmp_path):
