@@ -11,7 +11,21 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class
-from cassandra_ros.messages.formats.table import format_class
+from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.text_column import MAX_TEXT_BYTES, ParsedFormat
+
+PARSED = [name for name in FORMATS if issubclass(format_class(name), ParsedFormat)]
+CHARACTERS = {
+    "ASCII": "x",
+    "two bytes": "é",
+    "three bytes": "€",
+    "four bytes": "\U0001f600",
+    "double quotes": '"',
+    "single quotes": "'",
+    "backslashes": "\\",
+    "line breaks": "\n",
+    "unprintable": "\x07",
+}
 
 
 def makeFormat(name, msg_type):
@@ -69,3 +83,38 @@ def test_a_text_of_64_kib_is_kept_and_one_byte_more_is_not(name):
         assert (b"x" * length in encoded.columns[0]) is fits
         assert len(encoded.columns[0]) <= 65536
         assert storage.decode(encoded).data == "x" * length
+
+
+@pytest.mark.parametrize("character", CHARACTERS.values(), ids=CHARACTERS)
+@pytest.mark.parametrize("name", PARSED)
+def test_the_limit_counts_the_bytes_of_a_text(name, character):
+    """Not its characters, and not those of the message: quotes and others are escaped."""
+    storage = makeFormat(name, "std_msgs/String")
+    message = message_class(storage.definition)
+
+    def is_whole(count):
+        (text,) = storage.encode(message(data=character * count)).columns
+        assert len(text) <= MAX_TEXT_BYTES
+        return b"<string length: %d>" % count not in text
+
+    most, more = 1, MAX_TEXT_BYTES
+    while more - most > 1:
+        middle = (most + more) // 2
+        most, more = (middle, more) if is_whole(middle) else (most, middle)
+    encoded = storage.encode(message(data=character * most))
+    # No escape is longer than that of a character of four bytes in YAML.
+    assert MAX_TEXT_BYTES - len("\\U0001F600") < len(encoded.columns[0])
+    assert storage.decode(encoded).data == character * most
+    shortened = storage.encode(message(data=character * more))
+    assert shortened.raw is not None
+    assert storage.decode(shortened).data == character * more
+
+
+@pytest.mark.parametrize("character", CHARACTERS.values(), ids=CHARACTERS)
+@pytest.mark.parametrize("name", FORMATS)
+def test_texts_of_any_characters_are_exact_around_64_kib(name, character):
+    storage = makeFormat(name, "std_msgs/String")
+    message = message_class(storage.definition)
+    for count in (MAX_TEXT_BYTES // len(character.encode()) - 5, 40_000):
+        encoded = storage.encode(message(data=character * count))
+        assert storage.decode(encoded).data == character * count
