@@ -5,12 +5,20 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
+from itertools import chain, combinations
 
 import pytest
 
 from cassandra_ros.cli.local_cassandra import main
+from cassandra_ros.local_server import disk
 from cassandra_ros.local_server.cluster_settings import change_settings, new_settings, save_settings
-from cassandra_ros.local_server.disk import disk_trouble, full_disk, local_directory
+from cassandra_ros.local_server.disk import (
+    disk_trouble,
+    full_disk,
+    local_directory,
+    local_nodes,
+)
 from cassandra_ros.local_server.nodes import Node
 
 
@@ -45,6 +53,30 @@ def test_a_full_disk_has_a_name(folder, monkeypatch, capsys):
     assert disk_trouble(folder) == full_disk(folder) == text
     main(["status"])
     assert text in capsys.readouterr().out
+
+
+def pid_of(running, config, pid_file):
+    """Return a pid if the server of a folder is among those that run; else 0."""
+    return int(config.parent == pid_file.parent and config.parent in running)
+
+
+@pytest.mark.parametrize("nodes", [1, 2, 3])
+def test_the_first_node_that_does_not_run_is_named(folder, monkeypatch, nodes):
+    set_free(monkeypatch, 100)
+    save_settings(folder, change_settings(new_settings(), nodes=nodes, port=9177))
+    numbers = range(1, nodes + 1)
+    for down in chain.from_iterable(combinations(numbers, n) for n in range(nodes + 1)):
+        stopped = [folder / f"node{number}" for number in down]
+        running = {folder / f"node{number}" for number in numbers}.difference(stopped)
+        monkeypatch.setattr(disk, "find_server", partial(pid_of, running))
+        trouble = disk_trouble(folder)
+        assert bool(trouble) == bool(down)
+        if down:
+            log = Node(down[0], stopped[0], new_settings()).log
+            words = f"Cassandra node {down[0]} of {folder} does not run; its log is {log}"
+            assert trouble == words
+        assert local_nodes(folder) == (0 if len(down) == nodes else nodes)
+        assert full_disk(folder) == ""
 
 
 def test_a_disk_that_was_full_is_read_from_the_log(folder, monkeypatch):
