@@ -38,6 +38,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.read import Whose
+from cassandra_ros.store.rows import writer
 
 T0 = 1_600_000_000 * SECOND_NS
 FORMATS = ("packed", "ros", "json")
@@ -210,6 +211,29 @@ def test_what_is_pushed_is_what_a_filter_leaves(stored, bounds):
         ]
         assert rows(table) == sorted(row for each in every for row in rows(each))
         assert table.column_names == [*fields[:4], "s"]
+
+
+@pytest.mark.parametrize("fmt", FORMATS)
+def test_messages_of_buckets_that_are_written_to_are_read(rosCas, monkeypatch, fmt):
+    """The directory has no number of their messages before the first heartbeat."""
+    monkeypatch.setattr(writer, "HEARTBEAT_SEC", 1e9)
+    definition = parse_definition("t/One", "float64 x\n", None)
+    with rosCas.messageWriter(nodeID="r1", writer_id=1, format=fmt) as recorder:
+        handle = recorder.connect(api_connection("/a", definition, "/x"), bucket_ns=SECOND_NS)
+        for number in range(12):
+            recorder.write(handle, T0 + number * SECOND_NS // 4, number, struct.pack("<d", number))
+            if number % 5 == 4:
+                recorder.flush()
+        recorder.flush()
+        (table,) = rosCas.getTopic("/a").tables
+        rows_now = rosCas.catalog.keyspace.directory.find(table.name, "r1", table.bucket_of(T0))
+        assert [row.closed for row in rows_now] == [False]
+        while_open, _ = read_parts(rosCas, "/a")
+        assert while_open["x"].to_pylist() == list(range(12))
+        some, _ = read_parts(rosCas, "/a", start=T0 + 2 * SECOND_NS)
+        assert some["x"].to_pylist() == list(range(8, 12))
+    closed, _ = read_parts(rosCas, "/a")
+    assert rows(closed) == rows(while_open) == rows(expected(rosCas, "/a"))
 
 
 def test_large_messages(rosCas):
