@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import subprocess
@@ -18,7 +19,9 @@ from std_msgs.msg import Float64, String
 from suites import sparing
 
 from cassandra_ros.cli import cassandra_bag
+from cassandra_ros.cli.script import run_script
 from cassandra_ros.client.sql.lake import LOCK
+from cassandra_ros.errors import BagError
 from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.files.spool.segment_writer import SegmentWriter
 from cassandra_ros.files.spool.spool_folder import SpoolFolder
@@ -216,6 +219,38 @@ def test_a_name_that_the_command_line_cannot_hold(typed, env):
 def test_json_is_json_on_a_terminal_that_knows_only_ascii(typed, env):
     done, _ = typed(["list", "--json"], subprocess.PIPE, env={**env, **ASCII})
     assert ODD in done.stdout.decode("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("number", "full"),
+    [
+        (errno.ENOSPC, True),
+        (errno.EDQUOT, True),
+        (errno.EFBIG, True),
+        (errno.EIO, False),
+        (errno.EROFS, False),
+    ],
+    ids=errno.errorcode.get,
+)
+def test_where_space_would_help_the_error_says_so(monkeypatch, capsys, tmp_path, number, full):
+    """A disk that is full, a quota that is used up, a file of the maximum size; or a bad disk."""
+
+    def fail(*_):
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cassandra_bag, "main", fail)
+        with pytest.raises(SystemExit) as ended:
+            run_script("cassandra_ros.cli.cassandra_bag")
+    assert ended.value.code == 1
+    err = capsys.readouterr().err
+    assert_one_line(err)
+    assert ("free some space there" in err) is full
+    with monkeypatch.context() as patch, pytest.raises(BagError) as caught:
+        patch.setattr(os, "fsync", fail)
+        BagWriter(tmp_path / "a.bag").close()
+    assert ("free some space there" in str(caught.value)) is full
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", sparing(list(FILES), kept=["query csv"]))
