@@ -8,6 +8,7 @@ import contextlib
 import random
 import re
 import socket
+from itertools import product
 
 import pytest
 from geometry_msgs.msg import Twist
@@ -309,6 +310,48 @@ def test_events_of_all_stores_count(stores):
         assert [event.start_ns for event in fleet.events(like="b%")] == [T0, T0 + 5 * SEC]
         with pytest.raises(EventNotFound, match="no store of the fleet has an event"):
             fleet.readMessages(event="is not there")
+
+
+EVENTS = [
+    ("bump", 10, 12, "", "first"),
+    ("bump", 11, 14, "husky", "second"),
+    ("bump", 20, 20, "", "both"),
+    ("bump", 30, None, "husky", "second"),
+    ("other", 0, 40, "", "both"),
+]
+"""Name, start and end (s, None = it lasts), robot, and the stores that have it."""
+
+
+def test_events_with_time_around_them_meet_a_time_range_as_in_one_store(stores):
+    """An event may lie outside of the range, and only the time around it reach into it."""
+    first, second, whole = stores
+    fill(first, "/a", range(0, 40, 2))
+    fill(second, "/a", range(1, 40, 2))
+    fill(first, "/a", range(0, 40, 3), nodeID="husky")
+    fill(second, "/a", set(range(40)).difference(range(0, 40, 3)), nodeID="husky")
+    for node in ("", "husky"):
+        fill(whole, "/a", range(40), nodeID=node)
+    having = {"first": [first], "second": [second], "both": [first, second]}
+    for name, start, end, node, where in EVENTS:
+        for store in (*having[where], whole):
+            last = None if end is None else T0 + end * SEC
+            store.addEvent(name, T0 + start * SEC, last, nodeID=node)
+    around = [(3, 0), (0, 2.5), (3, 100)]
+    with fleet_of(first, second) as fleet:
+        for low, high in ((None, None), (5, 8), (15, 17)):
+            times = [None if n is None else T0 + n * SEC for n in (low, high)]
+            for (before, after), node in product(around, (None, "husky")):
+                asked = times, ("bump", before, after), node
+                assert messages_of(fleet, *asked) == messages_of(whole, *asked), asked
+
+
+def messages_of(store, times, event, node):
+    """Robot and text of the messages during an event; None = there is no such event."""
+    try:
+        rows = list(store.readMessages(["/a"], *times, event=event, nodeID=node))
+    except EventNotFound:
+        return None
+    return [(row.t, row.node, row.message().data) for row in rows]
 
 
 def test_an_index_of_one_store_is_not_looked_for_in_another(stores):
