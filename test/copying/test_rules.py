@@ -98,6 +98,27 @@ def test_topics_are_chosen_by_the_first_pattern(rosCas, home):  # noqa: F811
     assert states(rosCas) == {"/a": (20, 0, 0), "/b": (20, 0, 0), "/c": (20, 0, 0)}
 
 
+@pytest.mark.parametrize(
+    ("rule", "names"),
+    [
+        ("run: test", ["test"]),
+        ("run: test.*", ["test", "test 2", "tested"]),
+        ("run: (test|b)", ["test", "b"]),
+        ("run: test, label: site=lab", []),
+        ("label: site=", ["b"]),
+        ("label: site=la", []),
+        ("label: site=lab", ["test 2", "a test", ""]),
+    ],
+)
+def test_a_rule_takes_runs_by_their_whole_names_and_labels(rule, names):
+    """A run called like the beginning of another is not that one."""
+    sites = {"test": {}, "test 2": {"site": "lab"}, "tested": {"site": "labs"}}
+    sites.update({"a test": {"site": "lab", "x": ""}, "b": {"site": ""}, "": {"site": "lab"}})
+    runs = [Run("r", n, "recording", name=name, labels=sites[name]) for n, name in enumerate(sites)]
+    (only,) = read_rules(f"topics: [{{pattern: a, {rule}}}]").rules
+    assert [run.name for run in runs if only.takes(run)] == names
+
+
 def test_runs_are_chosen_by_name_and_label(rosCas, home):  # noqa: F811
     for writer_id, name, site in ((1, "patrol 1", "lab"), (2, "patrol 2", "hall"), (3, "x", "lab")):
         run = Run("r", writer_id, "recording", name=name, labels={"site": site})
