@@ -221,19 +221,15 @@ def test_json_is_json_on_a_terminal_that_knows_only_ascii(typed, env):
     assert ODD in done.stdout.decode("utf-8")
 
 
+NO_SPACE = {"disk": errno.ENOSPC, "quota": errno.EDQUOT, "size of a file": errno.EFBIG}
+BAD_DISK = {"failing": errno.EIO, "read-only": errno.EROFS}
+
+
 @pytest.mark.parametrize(
-    ("number", "full"),
-    [
-        (errno.ENOSPC, True),
-        (errno.EDQUOT, True),
-        (errno.EFBIG, True),
-        (errno.EIO, False),
-        (errno.EROFS, False),
-    ],
-    ids=errno.errorcode.get,
+    "number", [*NO_SPACE.values(), *BAD_DISK.values()], ids=[*NO_SPACE, *BAD_DISK]
 )
-def test_where_space_would_help_the_error_says_so(monkeypatch, capsys, tmp_path, number, full):
-    """A disk that is full, a quota that is used up, a file of the maximum size; or a bad disk."""
+def test_where_space_would_help_the_error_says_so(monkeypatch, capsys, tmp_path, number):
+    full = number in NO_SPACE.values()
 
     def fail(*_):
         raise OSError(number, os.strerror(number))

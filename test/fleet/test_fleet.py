@@ -207,6 +207,18 @@ def test_messages_and_single_ones(mixed):
     assert fleet.topics() == ["/t0", "/t1", "/t2", "/t3"]
 
 
+def test_a_read_goes_on_after_any_row(mixed):
+    """Rows of a page and of the next one are those of one read: none twice, none left out."""
+    fleet, whole = mixed
+    answer = FleetAnswer(fleet.stores)
+    for name in ("/t0", "/t1"):
+        topic = find_topic(answer, name)
+        rows = list(topic.read(Read()))
+        assert plain(rows) == plain(whole.getTopic(name).rows())
+        for n in range(0, len(rows), 9):
+            assert plain(topic.read(Read(after=rows[n].position))) == plain(rows[n + 1 :])
+
+
 def test_each_message_counts_once_in_info(mixed):
     fleet, whole = mixed
     found = fleet.info()

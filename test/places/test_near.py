@@ -26,6 +26,9 @@ from cassandra_ros.errors import InvalidOption, InvalidQuery, RunNotFound
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.places import track_windows
+from cassandra_ros.places.regions import DiskRegion
+from cassandra_ros.places.track_windows import WINDOW_NS
 from cassandra_ros.recording import place_keeper
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.store.tables.registry import LossKind, Run
@@ -732,6 +735,22 @@ def test_what_an_import_brings_back_is_found(rosCas, tmp_path):
     assert max(totals) <= 120
     import_bag(rosCas, path)
     assert asked(rosCas, "NEAR(50, 100, 2)") == [DETOUR]
+
+
+def test_poses_that_come_while_a_window_is_asked_are_seen(rosCas, monkeypatch):
+    """The path of a window is complete only when poses after its end are known."""
+    monkeypatch.setattr(track_windows, "FRESH_SEC", -1.0)  # it is read again at once
+    begin = (T0 // WINDOW_NS + 1) * WINDOW_NS
+    region, times = DiskRegion(20.0, 0.0, 2.5), [begin + n * SEC for n in range(30)]
+    with Writer(rosCas) as writer:
+        for first, end in ((0, 5), (5, 15), (15, 30)):
+            for n in range(first, end):
+                writer.put("/odom", times[n], odometry(float(n), 0.0, "map"))
+            writer.writer.flush()
+            if first == 0:
+                stays = rosCas.catalog.places.within(region, "map")
+            found = [stays.holds("", "run", t) for t in times]
+            assert found == [abs(n - 20) <= 2.5 if n < end else None for n in range(30)]
 
 
 def test_an_index_stays_as_long_as_what_stays_longest(rosCas):

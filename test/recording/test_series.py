@@ -402,6 +402,20 @@ def test_much_that_is_latched_leaves_room_for_what_is_new():
     assert ring.nbytes == sum(len(wire) + ITEM_BYTES for _, _, wire, _ in kept) <= 10_000
 
 
+def test_a_latched_message_that_is_sent_again_and_again_takes_room_once():
+    ring = MessageRing(SnapshotBound(nbytes=10_000), 0)
+    for n in range(0, 200, 2):
+        ring.add(("/map", {"latching": "1", "callerid": "/m"}, b"m" * 1000, n))
+        ring.add(("/t", {}, b"t" * 200, n + 1))
+    ring.add(("/tf_static", {"latching": "1", "callerid": "/s"}, b"s" * 100, 200))
+    for n in range(201, 300):
+        ring.add(("/t", {}, b"t" * 200, n))
+    kept = ring.content(())
+    assert [topic for topic, *_ in kept[:3]] == ["/map", "/tf_static", "/t"]
+    assert {topic for topic, *_ in kept[3:]} == {"/t"}
+    assert ring.nbytes == sum(len(wire) + ITEM_BYTES for _, _, wire, _ in kept) <= 10_000
+
+
 def test_the_end_waits_for_a_snapshot_that_begins(cassandra, keyspace):
     with Proxy(cassandra.host, cassandra.port) as proxy:
         held = proxy.catch(lambda f: f.opcode == EXECUTE and b"event" in f.body, failed=False)
