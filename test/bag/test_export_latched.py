@@ -7,12 +7,14 @@ from __future__ import annotations
 import pytest
 import rosbag
 from bag.truth import read_with_rosbag, string_connection, string_wire
+from mcap.reader import make_reader
 
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.files.bag.comparison import verify_bag, verify_content
 from cassandra_ros.files.bag.exporter import export_bag
 from cassandra_ros.files.bag.importer import import_bag
+from cassandra_ros.files.bag.mcap_writer import McapWriter
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -89,6 +91,30 @@ def test_a_window_begins_with_what_was_latched(stored, tmp_path):
     header = dict(read[0].header)
     assert header.pop("latched_from") == str(at(0)).encode()
     assert header == string_connection("/tf_static", callerid="/tf1", latching="1").fields
+
+
+def test_what_was_latched_has_no_publish_time_of_its_own_in_a_window(rosCas, tmp_path):
+    """It is written at the start of the window: the time from its sending does not count there."""
+    source, out = tmp_path / "source.mcap", tmp_path / "out.mcap"
+    with McapWriter(source) as writer:
+        latched = string_connection("/map", number=0, callerid="/m", latching="1")
+        maps = writer.connection(latched, 0)
+        tick = writer.connection(string_connection("/tick", number=1, callerid="/t"), 1)
+        writer.write(maps, at(0), string_wire("map"), -SEC // 4, 7)
+        for n in range(10):
+            writer.write(tick, at(n), string_wire(f"t{n}"), -SEC // 8, n)
+    import_bag(rosCas, source)
+    export_bag(rosCas, out, start=at(5), end=at(6))
+    with out.open("rb") as file:
+        found = [
+            (channel.topic, message.log_time, message.publish_time, message.sequence)
+            for _, channel, message in make_reader(file).iter_messages()
+        ]
+    assert found == [
+        ("/map", at(5), at(5), 0),
+        ("/tick", at(5), at(5 - 1 / 8), 5),
+        ("/tick", at(6), at(6 - 1 / 8), 6),
+    ]
 
 
 def test_it_takes_only_what_is_asked_for(stored, tmp_path):
