@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class
 from cassandra_ros.messages.formats.table import FORMATS, format_class
-from cassandra_ros.messages.formats.text_column import MAX_TEXT_BYTES, ParsedFormat
+from cassandra_ros.messages.formats.text_column import MAX_COLUMN_BYTES, ParsedFormat
 
 PARSED = [name for name in FORMATS if issubclass(format_class(name), ParsedFormat)]
 CHARACTERS = {
@@ -94,16 +94,16 @@ def test_the_limit_counts_the_bytes_of_a_text(name, character):
 
     def is_whole(count):
         (text,) = storage.encode(message(data=character * count)).columns
-        assert len(text) <= MAX_TEXT_BYTES
+        assert len(text) <= MAX_COLUMN_BYTES
         return b"<string length: %d>" % count not in text
 
-    most, more = 1, MAX_TEXT_BYTES
+    most, more = 1, MAX_COLUMN_BYTES
     while more - most > 1:
         middle = (most + more) // 2
         most, more = (middle, more) if is_whole(middle) else (most, middle)
     encoded = storage.encode(message(data=character * most))
     # No escape is longer than that of a character of four bytes in YAML.
-    assert MAX_TEXT_BYTES - len("\\U0001F600") < len(encoded.columns[0])
+    assert MAX_COLUMN_BYTES - len("\\U0001F600") < len(encoded.columns[0])
     assert storage.decode(encoded).data == character * most
     shortened = storage.encode(message(data=character * more))
     assert shortened.raw is not None
@@ -115,6 +115,6 @@ def test_the_limit_counts_the_bytes_of_a_text(name, character):
 def test_texts_of_any_characters_are_exact_around_64_kib(name, character):
     storage = makeFormat(name, "std_msgs/String")
     message = message_class(storage.definition)
-    for count in (MAX_TEXT_BYTES // len(character.encode()) - 5, 40_000):
+    for count in (MAX_COLUMN_BYTES // len(character.encode()) - 5, 40_000):
         encoded = storage.encode(message(data=character * count))
         assert storage.decode(encoded).data == character * count

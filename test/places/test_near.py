@@ -28,7 +28,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.places import track_windows
 from cassandra_ros.places.regions import DiskRegion
-from cassandra_ros.places.track_windows import WINDOW_NS
+from cassandra_ros.places.track_windows import TRACK_WINDOW_NS
 from cassandra_ros.recording import place_keeper
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.store.tables.registry import LossKind, Run
@@ -739,8 +739,8 @@ def test_what_an_import_brings_back_is_found(rosCas, tmp_path):
 
 def test_poses_that_come_while_a_window_is_asked_are_seen(rosCas, monkeypatch):
     """The path of a window is complete only when poses after its end are known."""
-    monkeypatch.setattr(track_windows, "FRESH_SEC", -1.0)  # it is read again at once
-    begin = (T0 // WINDOW_NS + 1) * WINDOW_NS
+    monkeypatch.setattr(track_windows, "OPEN_WINDOW_CACHE_SEC", -1.0)  # it is read again at once
+    begin = (T0 // TRACK_WINDOW_NS + 1) * TRACK_WINDOW_NS
     region, times = DiskRegion(20.0, 0.0, 2.5), [begin + n * SEC for n in range(30)]
     with Writer(rosCas) as writer:
         for first, end in ((0, 5), (5, 15), (15, 30)):

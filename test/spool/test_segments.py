@@ -22,7 +22,7 @@ from cassandra_ros.errors import SpoolError
 from cassandra_ros.files.bag.mcap_format import MAGIC
 from cassandra_ros.files.bag.mcap_reader import McapReader
 from cassandra_ros.files.spool.segment_reader import SegmentReader
-from cassandra_ros.files.spool.segment_writer import LARGE_BYTES, SegmentWriter
+from cassandra_ros.files.spool.segment_writer import UNCOPIED_PART_BYTES, SegmentWriter
 from cassandra_ros.files.spool.spool_folder import SpoolFolder
 from cassandra_ros.files.spool.spool_label import (
     VERSION,
@@ -221,7 +221,7 @@ def room_for(nbytes):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("wire_bytes", [5, 3 * LARGE_BYTES], ids=["small", "large"])
+@pytest.mark.parametrize("wire_bytes", [5, 3 * UNCOPIED_PART_BYTES], ids=["small", "large"])
 def test_a_disk_that_fills_within_a_chunk_leaves_the_file_as_it_was(tmp_path, wire_bytes):
     """What was written of the chunk is taken back, and the next chunk stands in its place."""
     path = tmp_path / "000001.mcap"
