@@ -42,7 +42,7 @@ def run(tmp_path):
 
 def delete(folder, path, totals, mine):
     """All its messages were stored."""
-    folder.settle(path, totals)
+    folder.delete_file(path, totals)
     return []
 
 
