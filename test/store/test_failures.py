@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from nodes.children import await_true
 from proxy import BATCH, EXECUTE, QUERY, READ_TIMED_OUT, TIMED_OUT, asks_on
+from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Header, String, UInt8MultiArray
 from store.text_messages import (
     SEC,
@@ -403,3 +404,19 @@ def test_an_index_is_filled_across_pages(rosCas, monkeypatch):
     result = rosCas.statements.select(statement, plan="index")
     assert len(list(result)) == 2 * COUNT
     assert result.pushdown.indexed
+
+
+@pytest.mark.parametrize("dropped", [False, True])
+def test_an_index_that_a_server_fails_to_drop_is_dropped(far, proxy, rosCas, dropped):
+    """The server fails once, and has dropped it all the same, or has not."""
+    rosCas.addTopic("/fix", format="ros").addData(NavSatFix(), key=T0)
+    far.getTopic("/fix").createIndex("latitude")
+    asked = proxy.catch(
+        lambda f: f.opcode == QUERY and b"DROP INDEX" in f.body, stored=dropped, most=1
+    )
+    far.getTopic("/fix").removeIndex("latitude")
+    assert len(asked.frames) == 1
+    assert rosCas.getTopic("/fix").getMeta["indexes"] == []
+    tables = [table.name for table in rosCas.getTopic("/fix").tables]
+    left = rosCas.cassandra.system_schema("indexes", "index_name", rosCas.keyspace, tables[0])
+    assert list(left) == []

@@ -58,8 +58,10 @@ _PIECE_BYTES = 4 << 20
 """Usual maximum size of a frame with rows, bytes."""
 _END_SEC = 2.0
 """Maximum time until the process ends when its input has ended, s."""
-_LOWEST = 19
-"""Lowest priority that Linux knows, as nice."""
+_NICE = 10
+"""Priority of statements, as nice: beside a program of usual priority that uses the same processor
+they get a tenth of it. With the lowest, 19, they would get a seventieth, and a robot whose
+processors are all busy would answer none in time."""
 _TRIES = 20
 """Maximum number of tries to give it to the session, each 0.1 s after the one before."""
 _log = logging.getLogger(__name__)
@@ -241,14 +243,17 @@ def _address_bytes() -> int:
 
 
 def _yield_processor() -> None:
-    """Take the lowest priority, among the processes of this session and among sessions."""
-    os.nice(_LOWEST)
+    """Take a low priority, among the processes of this session and among sessions."""
+    # Linux has a priority for each thread; later ones take that of the thread that starts them.
+    for thread in os.listdir("/proc/self/task"):
+        with suppress(ProcessLookupError):  # it has ended
+            os.setpriority(os.PRIO_PROCESS, int(thread), _NICE)
     # Linux weighs sessions against each other, unless it was built or started without that.
     with suppress(OSError):
         for _ in range(_TRIES):
             try:
                 with open("/proc/self/autogroup", "w", encoding="ascii") as group:
-                    group.write(str(_LOWEST))
+                    group.write(str(_NICE))
                 return
             except BlockingIOError:  # users other than root do so ten times a second at most
                 time.sleep(0.1)
@@ -257,7 +262,6 @@ def _yield_processor() -> None:
 def main() -> int:
     """Answer statements until the input ends; return the exit status."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program
-    _yield_processor()
     out, mail = os.fdopen(os.dup(1), "wb"), _Mail()
     os.dup2(2, 1)  # what a library prints is no frame
     source = sys.stdin.buffer
@@ -272,6 +276,7 @@ def main() -> int:
     _limit(0, resource.RLIMIT_CORE)
     _limit(SPILL_BYTES, resource.RLIMIT_FSIZE)
     answering = _Answering(json.loads(hello[1]), out, mail)
+    _yield_processor()  # not before: the start counts in the time of the first statement
     while (request := mail.requests.get()) is not None:
         if not answering.answer(request):
             break
