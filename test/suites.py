@@ -19,6 +19,7 @@ that takes more than SLOW_SEC is in make test all the same.
 from __future__ import annotations
 
 import os
+from importlib.util import find_spec
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -38,6 +39,10 @@ SLOW_SEC = 3.0
 if SUITE not in SUITES:
     raise pytest.UsageError(f"CASSANDRA_ROS_SUITE={SUITE}: it is one of {', '.join(SUITES)}")
 
+
+HAS_SQL = find_spec("duckdb") is not None
+"""Whether statements in SQL run here: they need Python 3.11."""
+needs_sql = pytest.mark.skipif(not HAS_SQL, reason="SQL needs Python 3.11")
 
 FEW_FORMATS = ("ros", "packed")
 """The formats that make test asks where all formats would take long: one with a column for each

@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 
 import pytest
 import yaml
+from conftest import WORKSPACE
 from packageurl.contrib import purl2url
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
@@ -108,7 +109,7 @@ def test_rosrun_finds_every_script_once(name, ros_env):
 
 
 def test_cassandra_bag_alone_is_on_path_as_rosbag_is(ros_env):
-    folder = ROOT / ".ws/devel/bin"
+    folder = WORKSPACE / "devel/bin"
     assert shutil.which("cassandra_bag", path=ros_env["PATH"]) == str(folder / "cassandra_bag")
     assert [name for name in SCRIPTS if (folder / name).exists()] == ["cassandra_bag"]
     done = subprocess.run(

@@ -10,6 +10,7 @@ import pickle
 
 import pytest
 from std_msgs.msg import String
+from suites import HAS_SQL, needs_sql
 
 import cassandra_ros
 from cassandra_ros import errors
@@ -58,7 +59,8 @@ def pickled(value):
 def stored(rosCas):
     topic = rosCas.addTopic("/a")
     topic.addData(String("x"), key=1)
-    rosCas.sql("SELECT data FROM a").fetchall()
+    if HAS_SQL:
+        rosCas.sql("SELECT data FROM a").fetchall()
     return rosCas
 
 
@@ -73,7 +75,9 @@ USES = {
 }
 
 
-@pytest.mark.parametrize("use", sorted(USES))
+@pytest.mark.parametrize(
+    "use", [pytest.param(use, marks=[needs_sql] * (use == "sql")) for use in sorted(USES)]
+)
 def test_a_fork_of_a_client_says_at_once_what_to_do(stored, use):
     answer = in_child(lambda: USES[use](stored))
     assert isinstance(answer, (ConnectionFailed, WriteFailed))
