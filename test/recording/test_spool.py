@@ -10,6 +10,7 @@ import shutil
 import time
 from concurrent.futures import Future
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -194,6 +195,37 @@ def test_topics_that_begin_one_after_the_other(proxy, store, rosCas, folder, end
         early = sent if n == 0 else []
         later = [f"{n} {step}" for step in range(n, TOPICS)]
         assert rows_of(rosCas, f"/topic{n}") == [text(each) for each in [*early, *later]]
+
+
+def test_what_is_damaged_does_not_wait_on_disk_any_more(proxy, store, rosCas, folder):
+    sent = iter(range(100_000, 200_000))  # all of one size
+    plan = SpoolPlan(folder)
+    recorder = Recording(store.catalog, format="binary", clock=within_a_bucket(), spool=plan)
+    send(recorder, [next(sent)])
+    await_true(lambda: recorder.reports()[0].stored == 1)
+
+    def goes_to_files():
+        send(recorder, [next(sent)])
+        return recorder.on_disk.messages > 0
+
+    proxy.cut()
+    await_true(goes_to_files)
+    send(recorder, islice(sent, 3000))
+    await_out_of_memory(recorder)
+    (run_folder,) = folder.runs()
+    path = max(run_folder.glob("*.mcap"), key=lambda path: path.stat().st_size)
+    with open(path, "r+b") as file:
+        file.seek(path.stat().st_size // 2)
+        file.write(bytes(64))
+    proxy.mend()
+    await_true(lambda: not recorder.on_disk.messages)
+    proxy.cut()
+    await_true(goes_to_files)
+    await_out_of_memory(recorder)
+    assert recorder.on_disk.nbytes == recorder.on_disk.messages * len(text(100_000))
+    proxy.mend()
+    (report,) = recorder.close()
+    assert report.lost > 0 and report.received == report.stored + report.lost
 
 
 def left_behind(proxy, store, folder, numbers, **options):

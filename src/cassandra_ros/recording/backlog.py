@@ -176,13 +176,18 @@ class Backlog:
         self._given = self._taken = 0
         """Number of messages handed over in memory, and of those taken."""
         self._parking = False
+        """Whether new messages go to files, not to the store; see doc/internals.md."""
         self._reading: Iterator[list[BufferedMessage]] | None = None
         self._oldest: _SegmentFile | None = None
         """File that is read, or was read last."""
         self._taken_at = time.monotonic()
         self._since = self._told = 0.0
+        """Monotonic times since which new messages go to files, and at which that was told last,
+        s."""
         self._messages = self._nbytes = 0
+        """Number of messages that wait on disk, and their size, bytes."""
         self._own_bytes = self._other_bytes = 0
+        """Size of the files of this run, and of those of other runs in the spool, bytes."""
         self._measured = -RETRY_SEC
         self._gaps = False
         """Whether messages of the journal were handed over without being written."""
@@ -262,6 +267,7 @@ class Backlog:
     def _messages_of(self, segment: _SegmentFile) -> Iterator[list[BufferedMessage]]:
         """Yield the messages of a file chunk by chunk; what cannot be read is lost."""
         read: Counter[str] = Counter()
+        read_bytes = 0
         sources: dict[int, MessageSource] = {}
         high, why = segment.generation << COUNTER_BITS, ""
         try:
@@ -274,21 +280,25 @@ class Backlog:
                         source = sources[id(connection)] = self._source_of(connection)
                     items.append(BufferedMessage(source, t_ns, high | counter, wire))
                     read[source.topic] += 1
-                self._leave_disk(len(items), sum(len(item.wire) for item in items))
+                nbytes = sum(len(item.wire) for item in items)
+                read_bytes += nbytes
+                self._count_off_disk(len(items), nbytes)
                 if items:
                     yield items
         except CassandraRosError as exc:
             why = str(exc)
+        unread = sum(total.count for total in segment.totals.values()) - sum(read.values())
+        self._count_off_disk(unread, segment.message_bytes - read_bytes)
         for topic, total in segment.totals.items():
             missing = total.count - read[topic]
             if missing:
-                self._leave_disk(missing, 0)
                 times = total.first_ns, total.last_ns
                 self._lose(topic, missing, LossKind.SPOOL_DAMAGED, *times, why)
         with self._changed:
             self._passed.append(segment)
 
-    def _leave_disk(self, messages: int, nbytes: int) -> None:
+    def _count_off_disk(self, messages: int, nbytes: int) -> None:
+        """Note that so many messages of this size wait on disk no more: read, or lost there."""
         with self._changed:
             self._messages -= messages
             self._nbytes = max(self._nbytes - nbytes, 0)
