@@ -125,7 +125,7 @@ class TopicNotFound(CassandraRosError, KeyError):
 
 
 class TopicExists(CassandraRosError):
-    """The topic is stored already, with other properties."""
+    """The topic, or the bag, is stored already: with other properties, or under the new name."""
 
 
 class MessageNotFound(CassandraRosError, KeyError):

@@ -55,7 +55,8 @@ class TopicMetadata:
     date: str = ""
     """Time at which the table was made, ISO 8601."""
     generation: int = 0
-    """Number of times that the topic was dropped, so that no table name is used twice."""
+    """Time at which the table was made, ns since 1970: part of its name, so that no name is used
+    twice."""
     own_time: bool = False
     """Whether the key is not the receive time, which then has a column of its own."""
     indexes: Mapping[str, str] = field(default_factory=dict)

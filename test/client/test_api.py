@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import time
+
 import genpy
 import pytest
 from geometry_msgs.msg import TransformStamped, Twist
@@ -301,15 +303,18 @@ def test_clock_of_simulated_time(monkeypatch):
     import sys
     from types import SimpleNamespace
 
-    from cassandra_ros.topics.message_adder import now_ns
+    from cassandra_ros.topics.message_adder import clock_ns
 
     rospy = SimpleNamespace(
         core=SimpleNamespace(is_initialized=lambda: True),
-        rostime=SimpleNamespace(get_rostime=lambda: genpy.Time(0)),
+        rostime=SimpleNamespace(get_rostime=lambda: genpy.Time(0), is_wallclock=lambda: False),
     )
     monkeypatch.setitem(sys.modules, "rospy", rospy)
     with pytest.raises(ClockNotSet, match="/clock"):
-        now_ns(None)
+        clock_ns(None)
+    rospy.rostime.is_wallclock = lambda: True  # then rospy rounds the time to a float
+    before = time.time_ns()
+    assert before <= clock_ns(None) <= time.time_ns()
 
 
 def test_a_dropped_topic_brings_nothing_back(rosCas):

@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+import weakref
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import partial
@@ -283,16 +284,30 @@ class Hurried(Protocol):
         """End all waits soon."""
 
 
-def hurry_on_interrupt(outage: Hurried) -> None:
-    """Let Ctrl-C also end the waits for the store while a program closes what it has open."""
+class _Interrupt:
+    """Handler of Ctrl-C that also ends the waits for all stores that a program has open."""
 
-    def interrupted(number: int, frame: FrameType | None) -> None:
-        outage.hurry()
+    def __init__(self) -> None:
+        self.waits: weakref.WeakSet[Hurried] = weakref.WeakSet()
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        for wait in list(self.waits):
+            wait.hurry()
         signal.default_int_handler(number, frame)
 
+
+def hurry_on_interrupt(wait: Hurried) -> None:
+    """Let Ctrl-C also end the waits for the store while a program closes what it has open.
+
+    A program that handles Ctrl-C itself, as a node does, keeps its handler.
+    """
+    handler = signal.getsignal(signal.SIGINT)
     main = threading.current_thread() is threading.main_thread()
-    if main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, interrupted)
+    if main and handler is signal.default_int_handler:
+        handler = _Interrupt()
+        signal.signal(signal.SIGINT, handler)
+    if isinstance(handler, _Interrupt):
+        handler.waits.add(wait)
 
 
 @contextmanager

@@ -37,7 +37,7 @@ from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pair
 from cassandra_ros.topics.descriptions import InfoList, RunList
 from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
-from cassandra_ros.topics.message_adder import now_ns
+from cassandra_ros.topics.message_adder import clock_ns
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.new_tables import wished_topic, with_key
 from cassandra_ros.topics.query_result import QueryResult, Rows
@@ -374,7 +374,7 @@ class RosCassandra:
             EventNotFound: The event was removed.
             InvalidKey: The end is not a time, or is before the start.
         """
-        now = now_ns(self._clock) if end is None else end
+        now = clock_ns(self._clock) if end is None else end
         return self.catalog.keyspace.events.end(event, now)
 
     def events(

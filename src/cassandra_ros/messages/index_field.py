@@ -81,10 +81,10 @@ class IndexField:
         values = self._split(raw)
         if values is None:
             return None, True
+        # A set is encoded like a list; an empty set would write a tombstone.
         normal_values = [value for value in map(self.normal, values) if value is not None]
         if len(normal_values) < len(values):
             return None, True
-            # A set is encoded like a list; an empty set would write a tombstone.
         return (pack_list(list(dict.fromkeys(normal_values))) if normal_values else None), False
 
     def normal(self, raw: bytes) -> bytes | None:

@@ -18,7 +18,7 @@ from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import Time, When, time_or_length, to_ns
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS, ros_now_ns
 from cassandra_ros.nodes.subscription import connected_uris, subscribe
 from cassandra_ros.playing.history.live_queue import LiveQueue
 from cassandra_ros.playing.history.stored_past import StoredPast
@@ -115,7 +115,7 @@ class HistorySubscriber:
         except CassandraRosError:
             self._close_own()
             raise
-        self._queue = LiveQueue(bound, now_ns)
+        self._queue = LiveQueue(bound, ros_now_ns)
         self._history = History(past, self._queue, begin, self._await_publishers)
         self._subscriber = subscribe(self.resolved_name, self._take, tcp_nodelay)
         name = f"history of {self.resolved_name}"

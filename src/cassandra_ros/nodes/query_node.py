@@ -92,7 +92,7 @@ from cassandra_ros.srv import (
     SqlResponse,
 )
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.message_adder import now_ns
+from cassandra_ros.topics.message_adder import clock_ns
 from cassandra_ros.topics.new_tables import wished_topic, with_key
 from cassandra_ros.topics.query_result import Condition
 from cassandra_ros.topics.stored_row import StoredRow
@@ -173,7 +173,7 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
     rospy.spin()
     services.close()
     with suppress(ClockNotSet):  # then no event has begun
-        marks.end_all(now_ns(None))
+        marks.end_all(clock_ns(None))
 
 
 def _answer(
@@ -375,7 +375,7 @@ class QueryServices:
             return MarkResponse(success=False, message=READ_ONLY)
         labels, values = dict(map(read_label, request.labels)), read_values(request.values)
         node = check_new_node(request.node_id)
-        event = self.marks.mark(request.name, now_ns(None), node, labels, values)
+        event = self.marks.mark(request.name, clock_ns(None), node, labels, values)
         response = MarkResponse(success=True)
         pack_event(event, response)
         return response

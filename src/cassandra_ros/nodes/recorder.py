@@ -23,7 +23,7 @@ from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidName, In
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS, ros_now_ns
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
 from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.event_marks import EventMarks
@@ -99,13 +99,13 @@ class Recorder:
         self._store = _catalog_of(rosCas)
         self._left_runs: LeftRuns | None = None
         self._quota: QuotaKeeper | None = None
-        self._series = series = RunSeries(self._store, options, now_ns, self._announce_run)
+        self._series = series = RunSeries(self._store, options, ros_now_ns, self._announce_run)
         bound = options.snapshot
         self._marks = EventMarks(series.events.put)
         self._snapshots = (
             None
             if bound is None
-            else Snapshots(bound, options.buffsize, now_ns, series.filters, series.single)
+            else Snapshots(bound, options.buffsize, ros_now_ns, series.filters, series.single)
         )
         self._subscriptions = Subscriptions(self._on_message, options.tcpnodelay, self._broken)
         self._registration = Registration(self._unheard)
@@ -229,7 +229,7 @@ class Recorder:
         if self._closed:
             raise InvalidOption("this recorder is being closed: it marks no events any more")
         node, writer = self._options.node_id, self._series.writer
-        return self._marks.mark(name, now_ns(), node, labels, values, writer)
+        return self._marks.mark(name, ros_now_ns(), node, labels, values, writer)
 
     def pause(self, topics: Topics = ()) -> None:
         """Leave out the messages of some topics (empty = all) but stay subscribed.
@@ -379,7 +379,7 @@ class Recorder:
                     self._snapshots.abandon()
                     break
         with suppress(ClockNotSet):  # then no event has begun
-            self._marks.end_all(now_ns())
+            self._marks.end_all(ros_now_ns())
         self._series.events.close()
         if self._publisher is not None:
             self._publisher.unregister()

@@ -24,7 +24,7 @@ from rospy.impl.registration import (
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS, ros_now_ns
 
 _log = logging.getLogger(__name__)
 
@@ -188,6 +188,6 @@ class Registration:
 def _now() -> int:
     """Return the time, ns; 0 while simulated time is not known."""
     try:
-        return now_ns()
+        return ros_now_ns()
     except ClockNotSet:
         return 0

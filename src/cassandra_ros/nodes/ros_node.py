@@ -277,7 +277,7 @@ def follow_clock() -> None:
         subscribe("/clock", _take)
 
 
-def now_ns() -> int:
+def ros_now_ns() -> int:
     """Return the time, ns, without the rounding of rospy's wall clock, which uses a float.
 
     Raises:

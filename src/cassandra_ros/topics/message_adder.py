@@ -37,7 +37,7 @@ class MessageAdder:
 
     def add(self, table: TopicTable, msg: object, t: Time | None, node: str, name: str = "") -> Key:
         """Store a message of the table's type (t None = now); return its key when acknowledged."""
-        t = now_ns(self._clock) if t is None else to_ns(t)
+        t = clock_ns(self._clock) if t is None else to_ns(t)
         wire = serialize(msg)
         connection = api_connection(table.metadata.topic, definition_of(type(msg)), _caller_id())
         # One at a time: flush raises a failure, which must belong to the message of this call.
@@ -83,8 +83,10 @@ def _caller_id() -> str:
     return "" if rospy is None else str(rospy.get_name())
 
 
-def now_ns(clock: Clock | None) -> int:
+def clock_ns(clock: Clock | None) -> int:
     """Return the time, ns: the given clock's, else rospy's if a node runs here, else wall time.
+
+    Wall time is not asked of rospy, which rounds it to a float.
 
     Raises:
         ClockNotSet: The node uses simulated time and no /clock message has come.
@@ -92,7 +94,9 @@ def now_ns(clock: Clock | None) -> int:
     if clock is not None:
         return to_ns(clock())
     rospy = _rospy()
-    now = time.time_ns() if rospy is None else int(rospy.rostime.get_rostime().to_nsec())
+    if rospy is None or rospy.rostime.is_wallclock():
+        return time.time_ns()
+    now = int(rospy.rostime.get_rostime().to_nsec())
     if not now:
         raise ClockNotSet(
             "simulated time is in use (/use_sim_time) and no /clock message has come yet: start "

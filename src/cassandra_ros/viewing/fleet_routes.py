@@ -324,6 +324,11 @@ def _stream(
 
 
 def _latest(call: ApiCall, stores: FleetAnswer) -> _Told:
+    """Return the latest messages before a time, as ``look_routes`` does for one store.
+
+    Which runs go on at that time is asked of all stores together: a robot's newest run may be in
+    another store than its earlier ones.
+    """
     whose, (t, since) = _whose(call, stores), look_routes.moment_of(call)
     names: dict[str, list[str]] = {}
     for topic in _topics_of(call, stores)[0]:
@@ -337,13 +342,13 @@ def _latest(call: ApiCall, stores: FleetAnswer) -> _Told:
 
     finders = stores.each({store: store for store in names}, make)
 
-    def runs(low: int, high: int) -> frozenset[tuple[str, int]]:
+    def sources(low: int, high: int) -> frozenset[tuple[str, int]]:
         return frozenset().union(*stores.each(finders, lambda f: f.sources(low, high)).values())
 
-    sources = sources_at(runs, t, since)
+    present = sources_at(sources, t, since)
 
     def begin(finder: Latest) -> Iterator[StoredRow]:
-        return iter(finder.before(t, since, sources))
+        return iter(finder.before(t, since, present))
 
     rows = merged_rows(stores, {store: partial(begin, finder) for store, finder in finders.items()})
     return _stream(call, stores, iter(_held_messages(rows, t, since)))

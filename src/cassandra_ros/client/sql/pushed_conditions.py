@@ -239,7 +239,8 @@ class _ConditionFinder:
     ) -> Iterator[PushedRead]:
         """Yield the bounds of the right side that follow from those of the tables before it.
 
-        A row of the right side that satisfies ON with no row of the result may be left out.
+        They come from the comparisons in ON. A row of the right side that these bounds leave out
+        joins no row that is read on the left, so the result is the same without it.
         """
         condition = join.args.get("on")
         for conjunct in () if condition is None else self._conjuncts(condition):

@@ -45,7 +45,7 @@ from cassandra_ros.messages.stamps import Stamp, Time, seconds_to_ns, to_ns
 from cassandra_ros.store.connection.address import from_environment
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.message_adder import now_ns
+from cassandra_ros.topics.message_adder import clock_ns
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.stored_row import StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import TopicInfo
@@ -493,7 +493,7 @@ class Bag:
         self._require_open()
         if self._writer is None:
             raise bag_error(f"{self.filename} is open for reading: open it with mode 'w' or 'a'")
-        ns = now_ns(None) if t is None else to_ns(t)
+        ns = clock_ns(None) if t is None else to_ns(t)
         if raw:
             if not isinstance(msg, (tuple, list)) or len(msg) not in (4, 5):
                 raise TypeMismatch("a raw message is (type, bytes, md5sum, class)")

@@ -13,8 +13,8 @@ from cassandra_ros.messages.wire.permuter import permuter
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 INLINE_BYTES = 512 * 1024
-"""Maximum size of a message whose lists and arrays get columns, bytes. The row of a larger message
-holds all its bytes anyway."""
+"""Maximum size of a message whose lists and arrays get columns, bytes. All bytes of a larger
+message are in chunks anyway."""
 
 
 class CassandraTopic_ros(CassandraTopic_):

@@ -197,8 +197,8 @@ def zone_ways(column: ServerColumn, operator: str, values: Sequence[Comparable])
 
 def zone_span(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
     """Return the terms on the zone columns for values between the minimum and maximum of some."""
-    fitting = [v for v in values if isinstance(v, str) == (column.cql_type == "text") and v == v]
-    return _zone_around(column, min(fitting), max(fitting)) if fitting else NEVER
+    usable = [v for v in values if isinstance(v, str) == (column.cql_type == "text") and v == v]
+    return _zone_around(column, min(usable), max(usable)) if usable else NEVER
 
 
 def _zone_around(column: ServerColumn, low: Comparable, high: Comparable) -> Ways:
@@ -339,10 +339,16 @@ class Pushdown:
         # By the table itself: two stores may have tables of one name, with other indexes.
         self._branches: dict[Table, list[Branch] | None] = {}
         self._sifts: dict[Table, Sift | None] = {}
+        # What earlier buckets of a table have taught, see ``learn``. The last three count with plan
+        # 'auto' only.
         self._many: set[Table] = set()
+        """Tables with so many hits that these are not fetched by key."""
         self._dense: set[Table] = set()
+        """Tables with so many hits that no index is used."""
         self._crowded: set[Table] = set()
+        """Tables with so many hits that a bucket is read whole, not by several queries."""
         self._idle: set[Table] = set()
+        """Tables of which so many blocks were unpacked that no zones are checked."""
         self._opened: Counter[Table] = Counter()
         self._passed: Counter[Table] = Counter()
         self.indexed = self.filtered = self.whole = self.skipped = 0

@@ -140,7 +140,8 @@ class OpenBucket:
 
     Args:
         table, node, bucket, name: The partition.
-        known: Whether the directory already lists the bucket for this writer.
+        must_recount: Whether the rows of the bucket are counted when it is closed, because this
+            writer has rows in it whose number is not known.
         shadows: Indexes for which the rows get values. An index that is made later counts from the
             next bucket on.
         filled: Shadow columns that earlier rows of the writer in the bucket have too.

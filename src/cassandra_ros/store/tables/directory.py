@@ -793,6 +793,7 @@ def _key(place: BucketKey) -> dict[str, object]:
 
 
 def _ttl(ttl: int) -> int:
+    """Return how long an entry stays, s: longer than the rows that it lists; 0 = for ever."""
     return ttl + TTL_MARGIN_SEC if ttl else 0
 
 

@@ -278,7 +278,7 @@ class SideTables:
         self._mutex = threading.Lock()
 
     def patient(self, retry_sec: Seconds) -> SideTables:
-        """Return these side tables for a client with another retry time, s."""
+        """Return a copy with another retry time, s. ``forget`` acts on the copy, or here, alone."""
         patient = copy(self)
         patient.retry_sec = retry_sec
         return patient

@@ -200,6 +200,7 @@ class FleetRows(Iterator[_T], Generic[_T]):
         return self._rows
 
     def __next__(self) -> _T:
+        # For next(rows), as with the rows of one store; a loop takes the iterator itself.
         return next(self._rows)
 
     @property
