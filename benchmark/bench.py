@@ -77,7 +77,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with tempfile.TemporaryDirectory(prefix="cassandra_ros_bench_") as folder:
         results = run(args, Path(folder))
-    # Part of the experiments is no full run: it must not pass for one.
+    # Part of the experiments is not a full run: it must not pass for one.
     name = "-".join(["part", args.size, *args.only]) if args.only else args.size
     path = args.results / f"{name}.json"
     if args.into is not None:

@@ -23,7 +23,7 @@ from cassandra_ros.errors import (
 
 LONG, SURROGATE = "x" * 70_000, "a\ud800"
 NO_TEXT = (5, True, 0.5, b"r1", ["r1"], {"r1": 1}, 10**5000)
-"""What is no text, and what no number may be printed of."""
+"""What is not a text, and what no number may be printed of."""
 UNFIT = (*NO_TEXT, SURROGATE)
 NEW = {"msg_type": "std_msgs/String"}
 
@@ -178,7 +178,7 @@ def test_what_is_no_statement_and_no_message(filled):
                 ask(statement)
     topic = filled.getTopic("/n")
     for method in (topic.addData, filled.addTopic("/pending").addData):
-        refused(method, (None, 5, "x", b"", {}, Twist), TypeMismatch, "is no message")
+        refused(method, (None, 5, "x", b"", {}, Twist), TypeMismatch, "is not a message")
     assert topic.countTopicData() == 1 and filled.getTopic("/pending").tables == []
 
 

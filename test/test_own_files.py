@@ -47,16 +47,16 @@ def test_what_is_no_file_is_neither_waited_for_nor_followed(tmp_path, name):
     else:
         os.mknod(path, 0o140600)
     for flags in (os.O_RDONLY, os.O_RDWR | os.O_CREAT):
-        with pytest.raises(OSError, match="it is no ordinary file"):
+        with pytest.raises(OSError, match="it is not an ordinary file"):
             own_files.open_regular(path, flags)
-    with pytest.raises(ServerError, match="it is no ordinary file"):
+    with pytest.raises(ServerError, match="it is not an ordinary file"):
         with locked(path):
             pass
 
 
 def test_a_fifo_instead_of_the_settings_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / SETTINGS_FILE)
-    with pytest.raises(ServerError, match="it is no ordinary file"):
+    with pytest.raises(ServerError, match="it is not an ordinary file"):
         load_settings(tmp_path)
 
 
@@ -123,7 +123,7 @@ def test_files_and_folders_of_another_user_are_refused(shared):
     own_files.own_folder(shared / "link")
     if owner == 0:  # who could be tricked the worst
         os.lchown(shared / "link", NOBODY, NOBODY)
-        with pytest.raises(OSError, match="it is no folder"):
+        with pytest.raises(OSError, match="it is not a folder"):
             own_files.own_folder(shared / "link")
 
 

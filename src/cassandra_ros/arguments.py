@@ -87,7 +87,7 @@ def check_text(
         else:
             reason = f"it has more than {most} bytes"
     except UnicodeEncodeError:
-        reason = "it is no valid Unicode"
+        reason = "it is not valid Unicode"
     raise error(f"{name}={_shorten(value)} cannot be used: {reason}; give {wanted}")
 
 
@@ -118,7 +118,7 @@ def check_seconds(name: str, value: Any) -> float:
     number = plain_value(value)
     if isinstance(number, (int, float)) and not isinstance(number, bool) and number >= 0:
         return float(number)
-    raise InvalidOption(f"{name}={_shorten(value)} is no number of seconds: give 0.0 or more")
+    raise InvalidOption(f"{name}={_shorten(value)} is not a number of seconds: give 0.0 or more")
 
 
 def check_node(node: Any) -> str:
@@ -158,7 +158,7 @@ def check_labels(labels: Any) -> dict[str, str]:
     """Return the labels of a new run (name -> text), or raise InvalidName."""
     if not isinstance(labels, Mapping):
         raise InvalidName(
-            f"labels={_shorten(labels)} are no mapping: give one like {{'site': 'lab'}}"
+            f"labels={_shorten(labels)} are not a mapping: give one like {{'site': 'lab'}}"
         )
     wanted = f"labels that are texts of up to {MAX_NAME_BYTES} bytes, as {{'site': 'lab'}}"
     return {
@@ -173,7 +173,7 @@ def check_topic(topic: Any) -> str:
     """Return the name of a topic to look up, or raise InvalidName."""
     if isinstance(topic, str):
         return topic
-    raise InvalidName(f"{_shorten(topic)} is no name of a topic: give a text like '/scan'")
+    raise InvalidName(f"{_shorten(topic)} is not a name of a topic: give a text like '/scan'")
 
 
 def spellings(topic: str) -> tuple[str, str]:
@@ -205,8 +205,8 @@ def check_ros_name(name: str, what: str = "") -> str:
     else:
         return name
     raise InvalidName(
-        f"{what} {name!r:.80} is no name of a ROS topic: {reason}; a name has letters, digits, _ "
-        "and single /, as /camera/image_raw".lstrip()
+        f"{what} {name!r:.80} is not a name of a ROS topic: {reason}; a name has letters, digits, "
+        "_ and single /, as /camera/image_raw".lstrip()
     )
 
 
@@ -233,7 +233,7 @@ def check_list(name: str, values: Any, example: str) -> list[Any]:
         return [values]
     if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray)):
         return list(values)
-    raise InvalidName(f"{name}={_shorten(values)} is no list of names: give one like {example}")
+    raise InvalidName(f"{name}={_shorten(values)} is not a list of names: give one like {example}")
 
 
 def check_pairs(
@@ -256,7 +256,8 @@ def check_limit(limit: Any) -> int | None:
     if whole and 0 <= int(limit) <= MAX_LIMIT:
         return int(limit)
     raise InvalidOption(
-        f"limit={_shorten(limit)} is no number of messages: give 0 to {MAX_LIMIT}, or None for all"
+        f"limit={_shorten(limit)} is not a number of messages: give 0 to {MAX_LIMIT}, or None for "
+        "all"
     )
 
 
@@ -341,13 +342,15 @@ def check_user_keys(keys: Any) -> dict[str, Any]:
 def _json_keys(what: str, keys: Any, taken: Container[str]) -> dict[str, Any]:
     """Return a mapping that JSON can store without change, none of whose keys is taken."""
     if not isinstance(keys, Mapping):
-        raise InvalidName(f"{what}={_shorten(keys)} is no mapping: give one like {{'site': 'lab'}}")
+        raise InvalidName(
+            f"{what}={_shorten(keys)} is not a mapping: give one like {{'site': 'lab'}}"
+        )
     checked: dict[str, Any] = {}
     for name, given in keys.items():
         value = plain_value(given)
         if not isinstance(name, str) or not name or name in taken:
             others = f", or one of {', '.join(FACTS)}" if taken else " of one letter or more"
-            raise InvalidName(f"{name!r:.80} cannot be set as {what}: it is no text{others}")
+            raise InvalidName(f"{name!r:.80} cannot be set as {what}: it is not a text{others}")
         try:
             text = json.dumps({name: value}, allow_nan=False, ensure_ascii=False)
             checked.update(json.loads(text.encode("utf-8")))

@@ -34,11 +34,11 @@ def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
         descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
     except OSError as exc:
         if exc.errno in _NO_FILE:
-            raise _refusal(path, "it is no ordinary file") from exc
+            raise _refusal(path, "it is not an ordinary file") from exc
         raise
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
-        raise _refusal(path, "it is no ordinary file")
+        raise _refusal(path, "it is not an ordinary file")
     return descriptor
 
 
@@ -102,7 +102,7 @@ def own_folder(path: Path) -> None:
     """Make a folder that only its owner can use (mode 700), or check and mend one that is there.
 
     Raises:
-        OSError: It cannot be made, is no folder, or it or a link to it belongs to another user.
+        OSError: It cannot be made, is not a folder, or it or a link to it belongs to another user.
     """
     with suppress(FileExistsError):
         path.mkdir(mode=0o700)
@@ -110,7 +110,7 @@ def own_folder(path: Path) -> None:
     if stat.S_ISLNK(state.st_mode) and state.st_uid == os.geteuid():
         state = path.stat()  # our own link, to a larger disk
     if not stat.S_ISDIR(state.st_mode):
-        raise _refusal(path, "it is no folder")
+        raise _refusal(path, "it is not a folder")
     _check_owner(path, state, root_may=False)
     if state.st_mode & 0o077:
         path.chmod(0o700)

@@ -117,7 +117,7 @@ def test_a_pause_that_is_short_beside_a_pixel_is_seen():
     points = envelope.points()
     (place,) = points.breaks.tolist()
     assert points.times[place] < 800 * second < 860 * second <= points.times[place + 1]
-    # A pixel with messages is no gap, however long the pause inside it.
+    # A pixel with messages is not a gap, however long the pause inside it.
     envelope = Envelope(Grid.between(0, 2000 * second, 10), 1)
     envelope.add(times, np.zeros((1, len(times))))
     assert envelope.points().breaks.tolist() == []

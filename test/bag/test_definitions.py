@@ -185,7 +185,7 @@ def test_a_message_of_another_definition_with_the_same_md5_is_refused(rosCas):
 def test_without_a_usable_definition_the_md5_tells_the_type(rosCas, tmp_path, caplog, added):
     """A publisher with a broken definition does not shut others of its type out."""
     sound = header("tf2_msgs/TFMessage", TFMessage._full_text)
-    broken = {**sound, "message_definition": "this is no definition"}
+    broken = {**sound, "message_definition": "this is not a definition"}
     by_writer(rosCas, tmp_path, [(broken, serialize(TFMessage()))], "binary")
     caplog.set_level(logging.WARNING, "cassandra_ros")
     topic = rosCas.addTopic("/t", msg_type=TFMessage._type) if added else rosCas.getTopic("/t")
@@ -336,13 +336,13 @@ def test_a_definition_is_read_where_the_md5sum_is_of_another(
 
 @two_formats
 def test_keywords_number_signs_and_line_ends_of_windows_do_not_matter(rosCas, tmp_path, form):
-    text = "# of a driver\r\nstring SIGN=# is no comment\r\nint32 class # its class\r\n"
+    text = "# of a driver\r\nstring SIGN=# is not a comment\r\nint32 class # its class\r\n"
     text += 'float64 from\r\nstring[] lambda  # "#"\r\n'
     wire = struct.pack("<idI", 7, 1.5, 1) + string_wire("#")
     path = write_bag(tmp_path / "a.bag", [(header("odd_msgs/Odd", text), wire)])
     assert import_bag(rosCas, path, format=form).topics["/t"].format == form
     message = rosCas.getTopic("/t").getData(T0)
-    assert message.SIGN == "# is no comment"
+    assert message.SIGN == "# is not a comment"
     names = map(attribute_name, ("class", "from", "lambda"))
     assert [getattr(message, name) for name in names] == [7, 1.5, ["#"]]
     assert rosCas.executeCQL('select class, "from", lambda from /t') == [(7, 1.5, ["#"])]

@@ -83,7 +83,7 @@ def check(read, definition, seed):
     wires = [maker.make() for maker in makers]
     cls = message_class(definition)
     assert read(definition, wires) == [leaves(deserialize(cls, wire)) for wire in wires]
-    # What is cut short, or goes on, is no message.
+    # What is cut short, or goes on, is not a message.
     cut = [wire[:-1] for wire in wires if wire]
     longer = [wire + b"\0" for wire in wires]
     assert set(read(definition, [*cut, *longer])) == {"RangeError"}

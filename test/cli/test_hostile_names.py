@@ -73,7 +73,7 @@ WORDS = [
 
 
 def unsafe(text):
-    """Return what of a text is no line break and not printable."""
+    """Return what of a text is not a line break and not printable."""
     return {c for c in text if not (c.isprintable() or c in "\n\t")}
 
 

@@ -68,7 +68,7 @@ WRONG = {
     ("-e", "/scan.*("): "not a regular expression",
     ("-e", "/nothing.*"): "no topic in keyspace",
     ("-x", ".*"): "leaves none",
-    ("-s", "yesterday"): "no time to play",
+    ("-s", "yesterday"): "not a time to play",
     ("-s", "2000-01-01T00:00:00Z"): "lies before all selected messages",
     ("-s", "100"): "lies after all selected messages",
     ("--end", "2014-07-10T18:03:11Z", "-s", "1"): "lies before the start",
@@ -78,7 +78,7 @@ WRONG = {
     ("--around", "/nope: data > 1"): "/nope",
     ("--node-id", "r2"): "no message of node 'r2'",
     ("--run", "monday"): "monday",
-    ("-p", "/has space"): "no name",
+    ("-p", "/has space"): "not a name",
 }
 
 
@@ -105,7 +105,7 @@ def test_what_makes_no_sense_says_why(store, cassandra, monkeypatch, words):
         (("--around", "data > 1"), "is not of the form"),
         (("--hz", "-5"), "'-5' is not a number above 0"),
         (("--hz", "1e9", "--clock"), "clock_hz"),
-        (("--rate-control-topic", "/a b"), "rate_control_topic '/a b' is no name"),
+        (("--rate-control-topic", "/a b"), "rate_control_topic '/a b' is not a name"),
     ],
 )
 def test_what_cannot_be_read_ends_the_program(words, text, monkeypatch, capsys):

@@ -216,7 +216,10 @@ def test_words_of_the_programs_may_come_in_any_order():
 @pytest.mark.parametrize(
     ("line", "text"),
     [
-        ("event delete -x", "-x; what begins with - and is no option goes after --, as in: -- -x"),
+        (
+            "event delete -x",
+            "-x; what begins with - and is not an option goes after --, as in: -- -x",
+        ),
         ("event delete --dryrun x", "unrecognized arguments: --dryrun: did you mean --dry-run?"),
         ("export a.bag --evnt=x", "unrecognized arguments: --evnt=x: did you mean --event?"),
         ("cat --event -x", "--event: expected one argument; one that begins with - is given as "),

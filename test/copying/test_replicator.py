@@ -389,7 +389,7 @@ def test_a_topic_of_two_formats_there_gets_its_messages_once(rosCas, home):
 
 @pytest.mark.suite("all", "it waits for seconds")
 def test_what_expires_here_stays_there(rosCas, home):
-    """Its end is no deletion to repeat."""
+    """Its end is not a deletion to repeat."""
     for ttl in (3, 30, 180):  # both messages must live until they are copied
         for store in (home, rosCas):
             if store.existTopic("/t"):

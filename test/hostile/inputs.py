@@ -39,7 +39,7 @@ _WARM = 0.05
 """Share of the inputs after which the memory is measured first: caches are filled then."""
 
 
-class Refused(Exception):  # noqa: N818 - it is no failure
+class Refused(Exception):  # noqa: N818 - it is not a failure
     """Another program refused the input as it should; its text is the kind of refusal."""
 
 

@@ -318,7 +318,7 @@ def test_the_topic_of_the_poses_is_printed_beside_the_others(several, cassandra,
 def test_options_that_make_no_sense_are_refused(bag):
     for words, text in (
         (("-o", "map.gif"), "give a name that ends in .png, .pgm, .yaml"),
-        (("-o", "none/map.png"), "none is no folder in which you may write"),
+        (("-o", "none/map.png"), "none is not a folder in which you may write"),
         (("-o", f"{'x' * 300}.png"), "cannot be written: File name too long"),
         (("--max-height", "-50"), "nothing was seen in 63 messages of topic /scan"),
         (("--resolution", "0"), "not a number above 0"),

@@ -63,7 +63,7 @@ def test_a_recorder_marks_and_watches(roscore, recorder, rosCas, client, tmp_pat
         mark("lasts")
     for request, said in (
         ({"name": ""}, "name of an event"),
-        ({"name": "x", "labels": ["room"]}, "is no label"),
+        ({"name": "x", "labels": ["room"]}, "is not a label"),
         ({"name": "x", "values": "[1]"}, "a JSON object"),
         ({"name": "x", "values": "{"}, "values"),
         ({"name": "x", "node_id": "jackal"}, "its own robot"),

@@ -83,7 +83,7 @@ def test_the_newest_and_other_topics(look):
         ("map", "bass", T0, {}, "did you mean base?"),
         ("map", "base", T0 + 9 * SEC, {}, "5 s before"),
         ("map", "base", T0, {"node_id": "b"}, "of node b"),
-        ("map", "", T0, {}, "no name of a frame"),
+        ("map", "", T0, {}, "not a name of a frame"),
         ("map", "base", T0, {"tf": "/tff", "tf_static": "/tfs"}, "topic '/tff' is not stored"),
     ],
 )

@@ -199,7 +199,7 @@ def test_steered_by_services(roscore, player, rosCas):
         wrong = call("setRate", rate=-1.0)
         assert (wrong["success"], wrong["rate"]) == (False, 1e5)
         assert "more than 0" in wrong["message"]
-        assert "no time to play" in call("seek", text="yesterday")["message"]
+        assert "not a time to play" in call("seek", text="yesterday")["message"]
         answer = call("pause_playback", data=True)
         assert answer == {"success": False, "message": "Playback is already paused."}
         assert call("pause_playback", data=False)["message"] == "Playback is now resumed"

@@ -507,7 +507,7 @@ def test_a_name_that_nobody_publishes(roscore, recorder):
         (("/x", "--duration", "soon"), "not a duration"),
         (("/x", "-b", "-5"), "whole number"),
         (("/x", "--format", "xml"), "no format 'xml'"),
-        (("/has space",), "'/has space' is no name of a ROS topic: ' ' may not stand in it"),
+        (("/has space",), "'/has space' is not a name of a ROS topic: ' ' may not stand in it"),
         (("/good", "3d"), "it must begin with a letter, / or ~"),
     ],
 )

@@ -99,8 +99,8 @@ def test_wrong_requests_are_answered(recorder, client):
     recorder("/a", "/b")
     for verb, request, said in (
         ("start", {}, "recording already: run "),
-        ("start", {"topics": ["/has space"]}, "no name of a ROS topic"),
-        ("start", {"labels": ["lab"]}, "is no label"),
+        ("start", {"topics": ["/has space"]}, "not a name of a ROS topic"),
+        ("start", {"labels": ["lab"]}, "is not a label"),
         ("stop", {"topics": ["/bb"]}, "topic /bb is not recorded; did you mean /b?"),
         ("pause", {"topics": ["/c"]}, "not recorded"),
         ("resume", {"topics": ["/c"]}, "not recorded"),
@@ -417,9 +417,9 @@ def test_losses_of_a_killed_recorder_are_told(roscore, recorder, rosCas):
         (("/a", "--label", "lab"), "KEY=VALUE"),
         (("/a", "--where", "/a data > 5"), "not of the form"),
         (("/a", "--where", "/a: data >"), "\n"),
-        (("/a", "--rate-limit", "fast"), "no rate"),
+        (("/a", "--rate-limit", "fast"), "not a rate"),
         (("/a", "--config", "/no/such.yaml"), "No such file"),
-        (("/a", "-L", "1X"), "is no size"),
+        (("/a", "-L", "1X"), "is not a size"),
     ],
 )
 def test_wrong_usage(capsys, arguments, word):

@@ -339,7 +339,7 @@ def test_the_index_is_asked_and_right(rosCas, monkeypatch):
         writer.put("/n", T0 + 20 * SEC + 5, Int32(9))
     assert asked(rosCas, condition) == sorted([*expected, T0 + 20 * SEC + 5])
     assert asked(rosCas, "NEAR(200, 0, 2, 'odom')") != asked(rosCas, condition)
-    # Deleted poses are no poses, whatever the index holds.
+    # Deleted poses are not poses, whatever the index holds.
     rosCas.getTopic("/tf").removeData(T0, T0 + 40 * SEC)
     assert asked(rosCas, condition) == expected[1:]
     rosCas.removeTopic("/tf")

@@ -47,13 +47,13 @@ def test_a_time_is_read(value, expected):
     + [10**30, True, [], b"5", "2013-13-01", genpy.Duration(-1)],
 )
 def test_what_is_no_time_is_refused(value):
-    with pytest.raises(InvalidOption, match="^start .* is no time to play: write seconds"):
+    with pytest.raises(InvalidOption, match="^start .* is not a time to play: write seconds"):
         read_when("start", value)
 
 
 @pytest.mark.parametrize("value", [-1, "x", float("nan"), []])
 def test_what_is_no_length_is_refused(value):
-    with pytest.raises(InvalidOption, match="^duration .* is no number of seconds"):
+    with pytest.raises(InvalidOption, match="^duration .* is not a number of seconds"):
         check_length("duration", value)
 
 

@@ -60,7 +60,7 @@ def test_floats(values):
     try:
         assert total == math.fsum(values)
     except OverflowError:
-        pass  # somewhere on the way, which is no reason not to answer
+        pass  # somewhere on the way, which is not a reason not to answer
 
 
 @search(300)

@@ -288,7 +288,7 @@ def test_limit_and_order():
         ("select a from t where KEY > now() + now()", (), "+ now", "cannot be computed of a time"),
         ("select a from t where a > 1s / 0", (), "/ 0", "cannot be computed"),
         ("select a from t where a > 1 + ?", ["x"], "+", "an integer and a string"),
-        ("select a from t where a > -?", [True], "?", "true is no number"),
+        ("select a from t where a > -?", [True], "?", "true is not a number"),
         ("select a from t where a = " + "(" * 9 + "-a" + ")" * 8, (), "", "')'"),
         ("select time(*) from t", (), "*", "time takes one duration"),
         ("select a from t group a", (), "a", "BY"),

@@ -95,14 +95,14 @@ def test_the_example_names_events():
     ("text", "said"),
     [
         ("events: {a: b}", "must be a list"),
-        ("events: [{name: e}]", "no mapping with name, topic and where"),
+        ("events: [{name: e}]", "not a mapping with name, topic and where"),
         ("events: [{name: '', topic: /a, where: a = 1}]", "name=''"),
-        ("events: [{name: e, topic: 'a b', where: a = 1}]", "no name of a ROS topic"),
+        ("events: [{name: e, topic: 'a b', where: a = 1}]", "not a name of a ROS topic"),
         ("events: [{name: e, topic: /a, where: 'a ='}]", "event 'e'"),
         ("events: [{name: e, topic: /a, where: \"EVENT 'x'\"}]", "stored messages only"),
         ("events: [{name: e, topic: /a, where: a = 1, hold: soon}]", "not a duration"),
         ("events: [{name: e, topic: /a, where: a = 1, hodl: 1}]", "did you mean hold?"),
-        ("events: [{name: e, topic: /a, where: a = 1, labels: 5}]", "no mapping"),
+        ("events: [{name: e, topic: /a, where: a = 1, labels: 5}]", "not a mapping"),
         ("evnets: []", "topics and events"),
     ],
 )

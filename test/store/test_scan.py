@@ -134,7 +134,7 @@ def test_what_the_server_refuses_to_filter_is_read_whole(topic, reverse):
     unknown = (("no such column", "=", b"x"),)
     rows = numbers(topic.rows(reverse=reverse, chooser=Chooser(unknown, few=True)))
     assert rows == wanted(topic, lambda n: True, reverse=reverse)
-    refused = (("data", "CONTAINS", b"\0"),)  # prepared or run: it is no list
+    refused = (("data", "CONTAINS", b"\0"),)  # prepared or run: it is not a list
     rows = numbers(topic.rows(reverse=reverse, chooser=Chooser(refused, bound("=", 3), few=True)))
     assert rows == wanted(topic, lambda n: True, reverse=reverse)
 

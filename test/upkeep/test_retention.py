@@ -172,7 +172,7 @@ def test_what_cannot_be_asked(store):
         store.upkeep.retain(keep={"/battery": "data < 11"})
     with pytest.raises(InvalidOption, match="kept under names"):
         store.upkeep.retain("/maps", max_age=1)
-    with pytest.raises(InvalidOption, match="is no rate"):
+    with pytest.raises(InvalidOption, match="is not a rate"):
         store.upkeep.retain(thin=0)
     assert all(each.topic != "/maps" for each in store.upkeep.retain(max_age=1e9, now=NOW))
 

@@ -74,7 +74,7 @@ def test_an_image_is_a_jpeg(viewer):
         ("message", {"topic": "/cam", "key": str(T)}, 404, "did you mean /camera"),
         ("message", {"key": str(T)}, 400, "needs the parameter topic"),
         ("image", {"topic": "/numbers", "key": str(T)}, 400, "pictures are made of"),
-        ("image", {"topic": "/camera", "key": str(T), "width": "0"}, 400, "no number of pixels"),
+        ("image", {"topic": "/camera", "key": str(T), "width": "0"}, 400, "not a number of pixels"),
     ],
 )
 def test_what_fails_says_why(viewer, path, parameters, status, text):

@@ -82,7 +82,7 @@ def test_who_leaves_ends_the_search_also_where_nothing_is_found(store):
         ({"polygon": "0,0;1;2,2"}, "give x,y;x,y;x,y"),
         ({"x": 0, "y": 0, "radius": -1}, "0 or more metres"),
         ({"x": 0, "y": 0, "radius": 1, "frame": "moon"}, "no pose in frame 'moon' is stored"),
-        ({"x": 0, "y": 0, "radius": 1, "robot": "arm"}, "'arm' is no frame of tf, and no topic"),
+        ({"x": 0, "y": 0, "radius": 1, "robot": "arm"}, "'arm' is not a frame of tf, and no topic"),
         ({"x": 0, "y": 0, "radius": 1, "limit": 0}, "limit is 1 to"),
     ],
 )

@@ -245,7 +245,7 @@ def test_a_viewer_for_other_machines_needs_a_token():
     assert is_loopback("127.0.0.5")
     assert is_loopback("::1")
     for origin in ("lichtblick.example", "*", "https://x.y/path", "https://", ""):
-        with pytest.raises(InvalidOption, match="is no origin"):
+        with pytest.raises(InvalidOption, match="is not an origin"):
             make_application(ViewerSettings(allow_origin=(origin,)), None, ROUTES)
 
 

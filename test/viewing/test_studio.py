@@ -200,7 +200,7 @@ def test_a_tarball_is_bounded(tmp_path, monkeypatch):
     many = tarball({f"package/{number}": b"" for number in range(3)})
     with pytest.raises(DownloadFailed, match="over 2 files"):
         studio.unpack(io.BytesIO(many), tmp_path, keep)
-    with pytest.raises(DownloadFailed, match="no tarball"):
+    with pytest.raises(DownloadFailed, match="not a tarball"):
         studio.unpack(io.BytesIO(b"nonsense"), tmp_path, keep)
 
 

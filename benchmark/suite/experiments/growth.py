@@ -24,7 +24,7 @@ INDEXED_MOST = 10_000
 
 
 class IndexedStore(Store):
-    """Format ros with an index on each field that is no array."""
+    """Format ros with an index on each field that is not an array."""
 
     def __init__(self, batch: Batch, folder: Path, server: Server) -> None:
         super().__init__(batch, folder, server, "ros")

@@ -38,7 +38,7 @@ def check_times(options: argparse.Namespace, catalogs: Iterable[Catalog]) -> Non
 
     Raises:
         InvalidOption: A number was meant as ms or us, as the times that are stored show, or a text
-            is no time.
+            is not a time.
     """
     from cassandra_ros.topics.overview.stored_ends import (
         far_outside,

@@ -77,7 +77,7 @@ def open_fleet(options: argparse.Namespace) -> Fleet:
     """Return the stores of --store. The caller closes them (a context manager).
 
     Raises:
-        InvalidOption: A store is given twice or is no place, or the file is not valid.
+        InvalidOption: A store is given twice or is not a place, or the file is not valid.
     """
     from cassandra_ros.stores.fleet.fleet import Fleet
     from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer

@@ -348,7 +348,7 @@ def say(text: str) -> None:
 
 
 def show_progress(text: str, seconds: float) -> None:
-    """Update the progress line on standard error; where that is no terminal, say it every 10 s."""
+    """Update the progress line on standard error; if that is not a terminal, say it every 10 s."""
     if sys.stderr.isatty():
         print(f"\r{text} … {seconds:.0f} s\033[K", end="", file=sys.stderr, flush=True)
     else:

@@ -152,7 +152,7 @@ class Parser(argparse.ArgumentParser):
         return options
 
     def _positionals_last(self, words: Sequence[str]) -> list[str]:
-        """Return the words in the order that argparse needs; report words that are no option."""
+        """Return the words in the order that argparse needs; report words that are not options."""
         end = words.index("--") if "--" in words else len(words)
         finder = _OptionFinder(self._actions)
         marked = list(map(_Word, words[:end]))
@@ -173,7 +173,7 @@ class Parser(argparse.ArgumentParser):
         names = [name for action in self._actions for name in action.option_strings]
         hint = _nearest(word.split("=")[0], names)
         if not hint:
-            hint = f"; what begins with - and is no option goes after --, as in: -- {word}"
+            hint = f"; what begins with - and is not an option goes after --, as in: -- {word}"
         self.error(f"unrecognized arguments: {word}{hint}")
 
     def refuse_options(self, options: argparse.Namespace, dests: Sequence[str], text: str) -> None:

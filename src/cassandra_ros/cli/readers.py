@@ -77,9 +77,9 @@ def byte_size(text: str) -> int:
     """Parse a size as in rosbag's --min-space: 1G, 512M, 100k or bytes. Return bytes."""
     digits, unit = (text, "") if text.isdigit() else (text[:-1], text[-1:].lower())
     if unit not in _SIZES:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size: give one like 1G, 512M or 100k")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size: give one like 1G, 512M or 100k")
     if not (digits.isascii() and digits.isdigit() and len(digits) <= _MOST_DIGITS):
-        raise argparse.ArgumentTypeError(f"{text!r} is no size: give one like 1G, 512M or 100k")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size: give one like 1G, 512M or 100k")
     return int(digits) * _SIZES[unit]
 
 

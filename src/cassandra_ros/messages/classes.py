@@ -337,7 +337,7 @@ def _time(cls: Any, value: Any) -> Any:
         parts = (value.get("secs", 0), value.get("nsecs", 0))
     if isinstance(parts, (list, tuple)) and len(parts) == 2 and {type(n) for n in parts} == {int}:
         return cls(*parts)
-    raise ValueError(f"{_short(value)} is no time: give ns, or {{secs: S, nsecs: N}}")
+    raise ValueError(f"{_short(value)} is not a time: give ns, or {{secs: S, nsecs: N}}")
 
 
 def _short(value: object) -> str:

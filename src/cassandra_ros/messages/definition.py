@@ -87,7 +87,7 @@ def parse_definition(msg_type: str, text: str, md5sum: str | None = None) -> Def
         DefinitionError: The text is not a definition, is hostile, or has another md5.
     """
     if not isinstance(text, str) or len(text) > MAX_DEFINITION_CHARACTERS:
-        raise DefinitionError(f"the definition of {msg_type!r} is no text of at most 1 MiB")
+        raise DefinitionError(f"the definition of {msg_type!r} is not a text of at most 1 MiB")
     return _parse(check_type_name(msg_type), text, md5sum)
 
 

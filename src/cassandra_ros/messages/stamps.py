@@ -224,7 +224,7 @@ def length_object_ns(value: Any) -> int | None:
         return int(value.to_nsec())
     if isinstance(value, timedelta):
         if value != value:
-            raise InvalidKey(f"{value!r} is no length of time: the value is missing")
+            raise InvalidKey(f"{value!r} is not a length of time: the value is missing")
         return _delta_ns(value)
     return _numpy_ns(value, "m8[ns]") if isinstance(value, np.timedelta64) else None
 
@@ -240,7 +240,7 @@ def duration_ns(value: object) -> int:
     ns = _offset_ns(value)
     if ns is None or ns < 0:
         forms = "seconds, at least 0, a genpy.Duration or a timedelta"
-        raise InvalidKey(f"{value!r:.80} is no length of time: give {forms}")
+        raise InvalidKey(f"{value!r:.80} is not a length of time: give {forms}")
     return ns
 
 

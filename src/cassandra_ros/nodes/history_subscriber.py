@@ -225,7 +225,7 @@ class HistorySubscriber:
 
 def _check(data_class: Any, callback: Any) -> None:
     if not (isinstance(data_class, type) and issubclass(data_class, rospy.Message)):
-        raise InvalidOption(f"data_class={data_class!r:.80} is no class of messages")
+        raise InvalidOption(f"data_class={data_class!r:.80} is not a class of messages")
     if not callable(callback):
         raise InvalidOption(f"callback={callback!r:.80} cannot be called")
 

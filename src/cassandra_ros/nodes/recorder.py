@@ -330,7 +330,7 @@ class Recorder:
                 "no messages are kept in memory: start the recorder with --snapshot 30s, say"
             )
         if not 0.0 <= after <= 86400.0:
-            raise InvalidOption(f"after={after!r:.40} is no number of seconds of 0 to 86400")
+            raise InvalidOption(f"after={after!r:.40} is not a number of seconds of 0 to 86400")
         names = self._recorded_topics(topics)
         recording, messages = self._snapshots.write(name, labels or {}, after, names)
         self._say(f"snapshot {recording.name}: {messages} messages")

@@ -176,7 +176,7 @@ def _alone(full_name: str) -> Iterator[None]:
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):  # a system without such sockets: names are as in ROS
             lock = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
-            # An address that begins with NUL is no file; it is free again when the program ends.
+            # An address that begins with NUL is not a file; it is free again when the program ends.
             while not _is_bound(lock, address) and time.monotonic() < ends:
                 time.sleep(_POLL_SEC)
         yield

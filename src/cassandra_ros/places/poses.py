@@ -87,7 +87,7 @@ class Poses:
     def __init__(self, source: PoseSource, longest_gap_sec: float = LONGEST_GAP_SEC) -> None:
         if not 0 < longest_gap_sec < float(MAX_NS // SECOND_NS):
             raise InvalidOption(
-                f"longest_gap={longest_gap_sec!r} is no length of time: give seconds above 0"
+                f"longest_gap={longest_gap_sec!r} is not a length of time: give seconds above 0"
             )
         self._source = source
         self._gap = round(longest_gap_sec * SECOND_NS)

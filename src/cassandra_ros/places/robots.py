@@ -313,7 +313,7 @@ class RobotFinder:
         of = f" of {self._robot}" if self._robot else ""
         text = f"no pose{of} in frame {self._frame!r} is stored"
         if self._robot and not self._told and self._robot.lstrip("/") not in all_frames:
-            text = f"{self._robot!r} is no frame of tf, and no topic of poses"
+            text = f"{self._robot!r} is not a frame of tf, and no topic of poses"
         if all_frames:
             text += f"; the frames of tf are {', '.join(sorted(all_frames)[:20])}"
         example = "odom"

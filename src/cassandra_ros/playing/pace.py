@@ -111,6 +111,6 @@ def check_rate(rate: float) -> float:
     if number and math.isfinite(rate) and 0 < rate <= MAX_RATE:
         return float(rate)
     raise InvalidOption(
-        f"rate={rate!r:.80} is no factor of speed: give more than 0, up to {MAX_RATE:.0f}; "
+        f"rate={rate!r:.80} is not a factor of speed: give more than 0, up to {MAX_RATE:.0f}; "
         "1.0 is as recorded, 2.0 twice as fast"
     )

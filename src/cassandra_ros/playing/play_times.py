@@ -58,9 +58,9 @@ def read_when(name: str, value: PlayTime) -> When | None:
         return When(to_ns(int(number) if whole else number), False)
     except (InvalidKey, InvalidOperation, ValueError, OverflowError) as exc:
         raise InvalidOption(
-            f"{name} {value!r:.80} is no time to play: write seconds from the first message (12.5)"
-            ", seconds since 1970 (1368021980.25), nanoseconds since 1970 (from 13 digits on) or "
-            "ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC)"
+            f"{name} {value!r:.80} is not a time to play: write seconds from the first message "
+            "(12.5), seconds since 1970 (1368021980.25), nanoseconds since 1970 (from 13 digits "
+            "on) or ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC)"
         ) from exc
 
 
@@ -71,7 +71,7 @@ def check_length(name: str, seconds: object) -> int | None:
     try:
         return duration_ns(_number(seconds) if isinstance(seconds, str) else seconds)
     except InvalidKey as exc:
-        raise InvalidOption(f"{name} {seconds!r:.80} is no number of seconds from 0 on") from exc
+        raise InvalidOption(f"{name} {seconds!r:.80} is not a number of seconds from 0 on") from exc
 
 
 def _number(text: str) -> Decimal | None:

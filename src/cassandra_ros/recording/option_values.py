@@ -39,7 +39,9 @@ def read_rate(value: object) -> float:
     except ValueError:
         rate = 0.0
     if isinstance(value, bool) or not 0 < rate <= MAX_RATE_HZ:
-        raise InvalidOption(f"{str(value)!r:.80} is no rate: give messages a second, like 5 or 0.1")
+        raise InvalidOption(
+            f"{str(value)!r:.80} is not a rate: give messages a second, like 5 or 0.1"
+        )
     return rate
 
 
@@ -47,7 +49,7 @@ def read_label(text: str) -> tuple[str, str]:
     """Read KEY=VALUE; raises InvalidOption."""
     key, equals, value = text.partition("=")
     if not (key.strip() and equals):
-        raise InvalidOption(f"{text!r:.80} is no label: give KEY=VALUE, as site=lab")
+        raise InvalidOption(f"{text!r:.80} is not a label: give KEY=VALUE, as site=lab")
     ((key, value),) = check_labels({key.strip(): value.strip()}).items()
     return key, value
 

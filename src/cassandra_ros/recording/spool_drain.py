@@ -511,7 +511,7 @@ class _StoredBlocks:
         first = min((total.first_ns for total in totals.values()), default=0)
         last = max((total.last_ns for total in totals.values()), default=MAX_NS)
         whose = Whose.of(handle.node, frozenset([self._writer]))
-        has_own_time = handle.table.metadata.own_time  # the key is no time of reception
+        has_own_time = handle.table.metadata.own_time  # the key is not a time of reception
         time_range = TimeRange() if has_own_time else TimeRange(first, last)
         read = Read(time_range, whose, columns=lambda table: ())
         return {row.position.seq for row in self._space.rows.read([handle.table], read)}

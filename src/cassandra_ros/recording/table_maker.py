@@ -143,7 +143,8 @@ def connect(
     """Return a handle to write the messages of a connection; raises as MessageWriter.connect does.
 
     Settings that do not fit are left out with an error in the log, so that the topic is recorded in
-    any case: a key field that the type does not have, or format packed with a key that is no time.
+    any case: a key field that the type does not have, or format packed with a key that is not a
+    time.
     """
     topic_settings = settings.of(connection.topic)
     try:

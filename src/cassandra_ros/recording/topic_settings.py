@@ -149,7 +149,7 @@ def _entries(text: str, key: str, form: str) -> list[object]:
 
 def _event(number: int, entry: object) -> WatchedEvent:
     if not isinstance(entry, dict) or not {"name", "topic", "where"} <= set(entry):
-        reason = f"entry {number} of events is no mapping with name, topic and where"
+        reason = f"entry {number} of events is not a mapping with name, topic and where"
         raise InvalidOption(f"{reason}: {entry!r:.80}")
     _check_keys(number, entry, {"name", "topic", "where", "hold", "labels"})
     try:
@@ -175,7 +175,9 @@ def _check_keys(number: int, entry: Mapping[object, object], keys: set[str]) -> 
 
 def _rule(number: int, entry: object) -> Rule:
     if not isinstance(entry, dict) or "pattern" not in entry:
-        raise InvalidOption(f"entry {number} of topics is no mapping with a pattern: {entry!r:.80}")
+        raise InvalidOption(
+            f"entry {number} of topics is not a mapping with a pattern: {entry!r:.80}"
+        )
     _check_keys(number, entry, {"pattern", *_READERS})
     try:
         values = {name: _READERS[name](entry[name]) for name in entry if name != "pattern"}

@@ -147,7 +147,7 @@ class CassandraTopic:
     def decode(self, data: EncodedMessage) -> Any:
         """Translate columns, as encode returns them, back into a message (paper 3.1)."""
         if not isinstance(data, EncodedMessage):
-            raise TypeMismatch(f"{data!r:.80} is no encoded message: give what encode returned")
+            raise TypeMismatch(f"{data!r:.80} is not an encoded message: give what encode returned")
         return self.format.decode(data)
 
     def addData(self, msg: Any, key: AnyKey | None = None, nodeID: str | None = None) -> Key:
@@ -325,7 +325,7 @@ class CassandraTopic:
                 request.
         """
         if not isinstance(after, (Position, type(None))):
-            raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
+            raise InvalidKey(f"after={after!r:.80} is not a place: give the position of a row")
         limit = check_limit(limit)
         read = Read(
             range_between(key, to_key),

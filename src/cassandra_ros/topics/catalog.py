@@ -142,7 +142,7 @@ class Catalog:
         )
 
     def _other_meaning(self, name: str) -> str:
-        """Say what has a name that is no topic's; '' = nothing."""
+        """Say what has a name that is not a topic's; '' = nothing."""
         base = name.rsplit("/", 1)[-1]
         for run in self.keyspace.registry.runs() if base else ():
             if run.name in (name, base):

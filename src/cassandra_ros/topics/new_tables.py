@@ -187,7 +187,7 @@ class NewTables:
         topic = wish.metadata.topic
         if not hasattr(type(msg), "_md5sum"):  # also if a class is given in place of an object
             raise TypeMismatch(
-                f"{msg!r:.80} is no message: give topic {topic} a message object, as "
+                f"{msg!r:.80} is not a message: give topic {topic} a message object, as "
                 "std_msgs.msg.String(data='x'); nothing was stored"
             )
         definition = definition_of(type(msg))
@@ -309,7 +309,8 @@ def check_packed(metadata: TopicMetadata, definition: Definition | None = None) 
                 return
         except InvalidKey:
             return  # these messages are found by time
-    what = f"key_part={key_part!r}, which is no time" if key_part else f"key_format={key_format!r}"
+    of_part = f"key_part={key_part!r}, which is not a time"
+    what = of_part if key_part else f"key_format={key_format!r}"
     raise InvalidOption(
         f"topic {metadata.topic} cannot be kept in format packed, whose messages lie in blocks by "
         f"their time, with {what}: choose another format for it, or key_format='time' for a new "

@@ -288,7 +288,7 @@ class Finder:
                 return key_part.from_text(text)
             except InvalidKey as exc:
                 problem = problem or exc
-        raise problem or InvalidKey(f"{text!r:.80} is no key")
+        raise problem or InvalidKey(f"{text!r:.80} is not a key")
 
 
 def unit_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:

@@ -151,7 +151,7 @@ class ApiCall:
         """Return a parameter of kind time, ns since 1970; its default if it is missing.
 
         Raises:
-            InvalidOption: The value is no time.
+            InvalidOption: The value is not a time.
         """
         return self._read(name, "time", written_time_ns)
 
@@ -159,7 +159,7 @@ class ApiCall:
         """Return a parameter of kind number; its default if it is missing.
 
         Raises:
-            InvalidOption: The value is no finite number.
+            InvalidOption: The value is not a finite number.
         """
         return self._read(name, "number", _read_number)
 
@@ -167,7 +167,7 @@ class ApiCall:
         """Return a parameter of kind count; its default if it is missing.
 
         Raises:
-            InvalidOption: The value is no whole number from 0, or has more than 18 digits.
+            InvalidOption: The value is not a whole number from 0, or has more than 18 digits.
         """
         return self._read(name, "count", _read_count)
 

@@ -60,7 +60,7 @@ def image_answer(call: ApiCall, row: StoredRow) -> Bytes:
     """Return the picture of an image message."""
     width = call.count("width")
     if width is not None and not 1 <= width <= MAX_WIDTH:
-        raise InvalidOption(f"width {width} is no number of pixels of 1 to {MAX_WIDTH}")
+        raise InvalidOption(f"width {width} is not a number of pixels of 1 to {MAX_WIDTH}")
     return Bytes(jpeg_of(row, width), "image/jpeg", _KEPT if call.text("position") else {})
 
 

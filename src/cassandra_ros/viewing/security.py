@@ -74,8 +74,8 @@ def check_settings(settings: ViewerSettings) -> None:
         parts = urlsplit(origin)
         if not (parts.scheme and parts.netloc) or parts.path or parts.query or parts.fragment:
             raise InvalidOption(
-                f"--allow-origin {origin!r} is no origin: write scheme and host without a path, as "
-                "https://app.foxglove.dev"
+                f"--allow-origin {origin!r} is not an origin: write scheme and host without a "
+                "path, as https://app.foxglove.dev"
             )
 
 

@@ -4,7 +4,7 @@
 
 It is the last version of Foxglove Studio under MPL-2.0, with the packages that it needs. This
 module has one version of each package, with the hash that npm states for it. Neither npm nor node
-is needed. The Studio is no part of this package, and is installed completely or not at all.
+is needed. The Studio is not part of this package, and is installed completely or not at all.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def unpack(file: IO[bytes], target: Path, keep: re.Pattern[str]) -> None:
         keep: Matches the whole names of selected files, below the tarball's top folder.
 
     Raises:
-        DownloadFailed: The file is no tarball, has a file that is too large, or has too many files.
+        DownloadFailed: The file is not a tarball, has a file that is too large, or too many files.
     """
     try:
         with tarfile.open(fileobj=file, mode="r|gz") as archive:
@@ -223,7 +223,7 @@ def unpack(file: IO[bytes], target: Path, keep: re.Pattern[str]) -> None:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(_SOURCE_MAP.sub(b"\n", data) if name.suffix == ".js" else data)
     except (tarfile.TarError, EOFError) as exc:
-        raise DownloadFailed(f"a package is no tarball that can be read: {exc}") from exc
+        raise DownloadFailed(f"a package is not a tarball that can be read: {exc}") from exc
 
 
 def _selected_files(

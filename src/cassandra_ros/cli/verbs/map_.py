@@ -180,7 +180,7 @@ def _output(options: argparse.Namespace) -> Path | None:
             text = f"{file} exists; choose another name, or replace it with --force"
             raise InvalidOption(text)
     if not os.access(output.parent, os.W_OK):
-        text = f"{output} cannot be written: {output.parent} is no folder in which you may write"
+        text = f"{output} cannot be written: {output.parent} is not a folder in which you may write"
         raise InvalidOption(text)
     return output
 

@@ -124,7 +124,7 @@ def quoted(options: argparse.Namespace, statements: Sequence[str], others: int =
 
     Args:
         statements: The statements.
-        others: Number of further words that are no options.
+        others: Number of further words that are not options.
     """
     if len(statements) + others > 1 and not all(
         len(statement.split()) > 1 for statement in statements

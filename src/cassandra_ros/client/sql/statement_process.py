@@ -263,7 +263,7 @@ def main() -> int:
     """Answer statements until the input ends; return the exit status."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program
     out, mail = os.fdopen(os.dup(1), "wb"), _Mail()
-    os.dup2(2, 1)  # what a library prints is no frame
+    os.dup2(2, 1)  # what a library prints is not a frame
     source = sys.stdin.buffer
     hello = read_frame(source)
     if hello is None:

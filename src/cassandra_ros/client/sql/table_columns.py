@@ -44,7 +44,7 @@ class TableColumns:
         if kind is None or len(paths) != 1:
             return None
         if kind == "text" and not all(_is_text(fields, names) for fields in self._fields):
-            return None  # in some definition the field is no string, and the column shows its text
+            return None  # in some definition the field is not a string, and its text is shown
         return ComparableColumn(kind, paths.pop() or "")
 
     def _kind(self, names: Sequence[str]) -> str | None:

@@ -105,7 +105,7 @@ class TopicSource:
             whose = whose.both(Whose(None, frozenset().union(*called)))
         if pushed.empty or whose.empty:
             return None
-        # The keys of messages with names are no times.
+        # The keys of messages with names are not times.
         time_range = TimeRange() if self.schema.named else pushed.time_range
         return Read(time_range, whose)
 

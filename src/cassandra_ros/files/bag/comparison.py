@@ -108,10 +108,10 @@ def verify_bag(
     that an export added as latched before its time range are left out, because the store holds them
     at another time. For the import of an MCAP publish_time and sequence are compared, too.
 
-    What export_bag changes is no difference: topics have the names that they have now, and numbers
-    of connections do not count, only their headers. Messages of several robots are told apart if
-    the headers in the file name the robots, as export_bag writes them. If they do not, the messages
-    of all robots are compared together, and ``mixed_robots`` lists the robots.
+    What export_bag changes is not a difference: topics have the names that they have now, and the
+    numbers of connections do not count, only their headers. Messages of several robots are told
+    apart if the headers in the file name the robots, as export_bag writes them. If they do not, the
+    messages of all robots are compared together, and ``mixed_robots`` lists the robots.
 
     Args:
         topics: Topics to compare; None = all topics of the bag.

@@ -113,7 +113,7 @@ def make_file(path: str | os.PathLike[str], compression: str | None = None) -> F
 def runs_of_content(runs: Sequence[Run], path: str) -> list[Run]:
     """Return the imports of a file by its content, under whatever name; [] = it was not imported.
 
-    The file is read to its end. One that is no bag, or damaged, is the content of no run.
+    The file is read to its end. One that is not a bag, or damaged, is the content of no run.
     """
     if not any(run.kind == "import" for run in runs) or not os.path.isfile(path):
         return []

@@ -106,7 +106,7 @@ class McapReader(MessageFile):
         salvaged: The damage that was found when the file was opened with ``salvage``, if any.
         left_out: Messages of channels with other encodings or damaged headers, and messages with
             a later time than ROS 1 has, see MessageFile.
-        extras: Number of attachments and metadata records that are no events, see MessageFile.
+        extras: Number of attachments and metadata records that are not events, see MessageFile.
 
     Raises:
         BagUnindexed: The file was not closed properly, or is cut short.

@@ -500,7 +500,7 @@ class Bag:
             kind, wire, md5sum, cls = msg[0], bytes(msg[1]), msg[2], msg[-1]
         else:
             if not hasattr(type(msg), "_md5sum"):
-                raise TypeMismatch(f"{msg!r:.80} is no message: give a message object")
+                raise TypeMismatch(f"{msg!r:.80} is not a message: give a message object")
             cls, wire = type(msg), serialize(msg)
             kind, md5sum = cls._type, cls._md5sum
         # Definitions that differ in the brackets of arrays of messages have the same md5.

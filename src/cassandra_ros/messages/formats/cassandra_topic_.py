@@ -45,7 +45,7 @@ class CassandraTopic_(ABC):
     COLUMNS: Mapping[str, str]
     """CQL type of each column by name, if they are the same for all message types."""
     zone_map: ZoneMap | None = None
-    """Finds the bounds of the values in a block; None where a row is no block."""
+    """Finds the bounds of the values in a block; None where a row is not a block."""
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         self.msg_type = msg_type

@@ -107,13 +107,13 @@ class _EncoderCompiler:
 
 def _list(value: object, length: int | None) -> list[Any]:
     if type(value) is not list or length not in (None, len(value)):
-        raise ValueError("an array is no list of its length")
+        raise ValueError("an array is not a list of its length")
     return value
 
 
 def _mapping(tree: object, count: int) -> dict[str, object]:
     if type(tree) is not dict or len(tree) != count:
-        raise ValueError(f"a message is no mapping of its {count} fields")
+        raise ValueError(f"a message is not a mapping of its {count} fields")
     return tree
 
 

@@ -80,7 +80,7 @@ def _frame(name: object) -> str:
             return frame
     except UnicodeEncodeError:
         pass
-    raise InvalidName(f"{name!r:.80} is no name of a frame: give a text like 'base_link'")
+    raise InvalidName(f"{name!r:.80} is not a name of a frame: give a text like 'base_link'")
 
 
 @dataclass(frozen=True)

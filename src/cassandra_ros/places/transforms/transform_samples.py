@@ -294,5 +294,5 @@ def _problem(sample: Sample) -> str:
     if any(number != number for number in sample.numbers):
         return "there is NaN in them"
     if not abs(sum(number * number for number in sample.numbers[3:]) - 1) < _TOLERANCE:
-        return "their rotation is no unit quaternion"
+        return "their rotation is not a unit quaternion"
     return ""

@@ -67,7 +67,7 @@ class ArrowSchema:
         arrow: The module pyarrow.
         schema: Its schema.
         fields: Fields with a column, by name of the table.
-        own: Names of the columns that are no fields.
+        own: Names of the columns that are not fields.
         empty: Whether messages need not be read, because no field has a column.
     """
 
@@ -200,7 +200,7 @@ class _BatchMaker:
     def _with_places(
         self, table: Table, places: _Places, field_arrays: Sequence[pyarrow.Array]
     ) -> pyarrow.RecordBatch:
-        """Return a batch of the arrays of fields, with the columns that are no fields."""
+        """Return a batch of the arrays of fields, with the columns that are not fields."""
         arrow, schema, count = self._arrow, self._schema.schema, len(places.keys)
         fields = self._schema.of_table(table)
         columns = {field.name.lower(): array for field, array in zip(fields, field_arrays)}

@@ -33,7 +33,7 @@ class RowColumns:
     Args:
         arrow: The module pyarrow.
         fields: The fields.
-        columns: The column of each field that is no message, by its path.
+        columns: The column of each field that is not a message, by its path.
         held: Columns of the table, in their order.
 
     Attributes:

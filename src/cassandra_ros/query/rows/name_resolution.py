@@ -445,7 +445,7 @@ class NameResolver:
     def _note_valid_parts(self, term: Term) -> None:
         """Note which calls among the arguments of a term are right, though the term is not.
 
-        If another definition lacks them, that is no error then.
+        If another definition lacks them, that is not an error then.
         """
         if isinstance(term, Call):
             for argument in term.arguments:

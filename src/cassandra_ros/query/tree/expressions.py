@@ -159,7 +159,8 @@ def _constant(literal: Literal) -> Computed:
         kind, value = "float64", float(value)
     if not kind:
         reason = (
-            f"{literal.text} is no number, time or duration, so it cannot be used in an expression"
+            f"{literal.text} is not a number, time or duration, so it cannot be used in an "
+            "expression"
         )
         raise StatementError(literal.position, reason)
     return Computed(kind, _always(value))
@@ -187,7 +188,7 @@ def _reason(call: Call, parts: list[Computed]) -> str:
     reason = f"{sign} cannot be computed of {kinds}"
     families = {family(operand.kind) for operand in parts}
     if call.function == "time":
-        return "the messages of this topic are kept under names, so KEY is no time"
+        return "the messages of this topic are kept under names, so KEY is not a time"
     if families & {"time", "duration"} and "number" in families:
         return f"{reason}: a duration is written 5s or 500ms, and a number times 1s is one"
     return reason

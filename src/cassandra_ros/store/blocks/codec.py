@@ -294,7 +294,7 @@ def _words_of_planes(data: memoryview, at: int, count: int) -> Words:
 
 
 def _join_words(words: bytes, loose: memoryview, sizes: Sequence[int]) -> bytes:
-    """Put the bytes of each message that are no words before its words."""
+    """Put the bytes of each message that are not words before its words."""
     if not loose:
         return words
     parts: list[bytes] = []

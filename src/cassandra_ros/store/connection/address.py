@@ -35,7 +35,7 @@ def host_names(host: str | Sequence[str] | None, usual: str = "") -> list[str]:
 
 
 def port_number(port: int | str | None, usual: str = "", source: str = "") -> int:
-    """Return a port as a number; raises InvalidOption if it is no whole number from 1 to 65535.
+    """Return a port as a number; raises InvalidOption if it is not a whole number from 1 to 65535.
 
     Args:
         port: The port; None or '' = CASSANDRA_ROS_PORT, else ``usual``, else 9042.

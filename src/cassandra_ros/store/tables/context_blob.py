@@ -89,7 +89,7 @@ def decode_context(blob: bytes) -> RunContext:
         parts = json.loads(text.decode("ascii"))
         params = _value(parts["params"])
         if not isinstance(params, dict):
-            raise TypeError("the parameters are no mapping")
+            raise TypeError("the parameters are not a mapping")
         return RunContext(params, NodeGraph(**{name: parts[name] for name in _GRAPH}))
     except (zlib.error, ValueError, TypeError, KeyError, AttributeError, RecursionError) as exc:
         raise CorruptMessage(

@@ -103,7 +103,7 @@ class EventTable:
         self._tables.delete(_EVENT, _COLUMNS[:5], [row], f"removing event {event.name}")
 
     def with_key(self, key: str) -> Event | None:
-        """Return the event with a key; None = no event has it, or the text is no key."""
+        """Return the event with a key; None = no event has it, or the text is not a key."""
         start, _, name = key.partition("-")
         if not (start.isascii() and start.isdigit() and len(start) < 20 and int(start) <= LAST_NS):
             return None
@@ -153,7 +153,7 @@ def _after(beginning: str) -> str | None:
     """Return the first text after all texts with a beginning; None = no text is."""
     for n in reversed(range(len(beginning))):
         code = ord(beginning[n]) + 1
-        code = 0xE000 if code == 0xD800 else code  # surrogates are no characters
+        code = 0xE000 if code == 0xD800 else code  # surrogates are not characters
         if code <= 0x10FFFF:
             return beginning[:n] + chr(code)
     return None

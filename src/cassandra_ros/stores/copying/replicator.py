@@ -631,7 +631,7 @@ class Bandwidth:
 
     def __init__(self, bytes_per_sec: float | None) -> None:
         if bytes_per_sec is not None and not 0 < bytes_per_sec < float("inf"):
-            raise InvalidOption(f"{bytes_per_sec!r} is no rate: give bytes a second above 0")
+            raise InvalidOption(f"{bytes_per_sec!r} is not a rate: give bytes a second above 0")
         self._rate = bytes_per_sec
         self._free = 0.0
         """Monotonic time from which the next bytes may be sent, s."""

@@ -137,7 +137,9 @@ def read_rules_file(name: str | None) -> CopyRules | None:
 
 def _rule(number: int, entry: object) -> CopyRule:
     if not isinstance(entry, dict) or "pattern" not in entry:
-        raise InvalidOption(f"entry {number} of topics is no mapping with a pattern: {entry!r:.80}")
+        raise InvalidOption(
+            f"entry {number} of topics is not a mapping with a pattern: {entry!r:.80}"
+        )
     for name in entry:
         if name not in _READERS:
             near = difflib.get_close_matches(str(name), _READERS, n=1)
@@ -157,7 +159,9 @@ def read_bandwidth(value: object) -> float:
     """Read a number of bytes a second: 500k, 2M, 2MB/s or bytes."""
     match = re.fullmatch(r"([0-9]{1,12}(?:\.[0-9]*)?)([kMG]?)(?:B)?(?:/s)?", str(value))
     if isinstance(value, bool) or match is None or not float(match[1]):
-        raise InvalidOption(f"{str(value)!r:.80} is no bandwidth: give one like 500k, 2M or 2MB/s")
+        raise InvalidOption(
+            f"{str(value)!r:.80} is not a bandwidth: give one like 500k, 2M or 2MB/s"
+        )
     return float(match[1]) * _UNITS[match[2]]
 
 
@@ -169,7 +173,7 @@ def _read_bool(value: object) -> bool:
 
 def _read_order(value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or abs(value) > 10**6:
-        raise InvalidOption(f"order {value!r:.80} is no whole number, like 1")
+        raise InvalidOption(f"order {value!r:.80} is not a whole number, like 1")
     return value
 
 
@@ -183,7 +187,7 @@ def _read_label(value: object) -> str:
     text = check_text("label", value)
     key, equals, _ = text.partition("=")
     if not (key and equals):
-        raise InvalidOption(f"{text!r:.80} is no label: give KEY=VALUE, as site=lab")
+        raise InvalidOption(f"{text!r:.80} is not a label: give KEY=VALUE, as site=lab")
     return text
 
 
@@ -194,14 +198,14 @@ def _read_where(value: object) -> str:
 def _read_length(value: object) -> int:
     match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]*)?|\.[0-9]+)([smh])", str(value))
     if match is None:
-        raise InvalidOption(f"{str(value)!r:.80} is no length of time, like 1s, 0.5s or 5m")
+        raise InvalidOption(f"{str(value)!r:.80} is not a length of time, like 1s, 0.5s or 5m")
     return round(float(match[1]) * _SECONDS[match[2]] * SECOND_NS)
 
 
 def _read_every(value: object) -> int:
     length = _read_length(value)
     if not length:
-        raise InvalidOption(f"every {value} is no period: give a longer one, like 1s")
+        raise InvalidOption(f"every {value} is not a period: give a longer one, like 1s")
     return length
 
 

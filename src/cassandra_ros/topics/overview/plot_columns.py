@@ -100,7 +100,7 @@ def _what(output: ResultColumn, selected: Selected | None) -> Term | Aggregate:
     if selected is not None and not selected.is_path:
         return selected.what
     if output.ref is None:
-        raise AssertionError("what is no term is a field")
+        raise AssertionError("what is not a term is a field")
     return path_of(output.ref)
 
 

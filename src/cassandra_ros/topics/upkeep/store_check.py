@@ -369,7 +369,7 @@ class _Check:
         )
 
     def _count_open_bucket(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
-        """Count a bucket that is not closed; that its counts are estimates is no damage."""
+        """Count a bucket that is not closed; that its counts are estimates is not damage."""
         if row.age_sec <= STALE_SEC:
             self.report.count_writing()
         elif self._repair:

@@ -161,7 +161,7 @@ class Upkeep:
             TopicNotFound, InvalidName, InvalidQuery: As readMessages.
         """
         if thin is not None and not 0 < thin < float("inf"):
-            raise InvalidOption(f"thin={thin!r:.80} is no rate: give messages a second above 0")
+            raise InvalidOption(f"thin={thin!r:.80} is not a rate: give messages a second above 0")
         server_ns = self._catalog.keyspace.cassandra.server_time_us() * 1000
         rules = Rules(
             now=server_ns if now is None else to_ns(now),

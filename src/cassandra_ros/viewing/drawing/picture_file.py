@@ -33,7 +33,7 @@ def check_picture_path(path: str | os.PathLike[str], force: bool = False) -> Non
     if Path(path).suffix.lower() not in ENDINGS:
         endings = ", ".join(ENDINGS)
         raise InvalidOption(
-            f"{os.fspath(path)} is no name of a picture: known endings are {endings}"
+            f"{os.fspath(path)} is not a name of a picture: known endings are {endings}"
         )
     if os.path.exists(path) and not force:
         text = f"{os.fspath(path)} exists; choose another name, or replace it with --force"

@@ -40,7 +40,7 @@ def map_paths(path: str | Path) -> tuple[Path, Path]:
     """
     path = Path(path)
     if path.suffix not in (".pgm", ".yaml"):
-        raise InvalidName(f"{str(path)!r} is no name of a map: give NAME.pgm or NAME.yaml")
+        raise InvalidName(f"{str(path)!r} is not a name of a map: give NAME.pgm or NAME.yaml")
     return path.with_suffix(".pgm"), path.with_suffix(".yaml")
 
 
