@@ -37,7 +37,8 @@ from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import format_class
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.blocks.codec import pack_block, unpack_block
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -57,7 +58,7 @@ ASKED = {
     "ros": "the same; every field in `cqlsh`: arrays as blobs, arrays of messages as lists",
 }
 
-ROWS = tuple(name for name in FORMATS if not format_class(name).PACKED)
+ROWS = tuple(name for name in FORMAT_NAMES if not format_class(name).PACKED)
 """Formats whose bytes on disk are measured. The messages are repeated, and a block of packed would
 find in one repeat what stood in the one before: make bench measures it on whole bags."""
 
@@ -204,10 +205,10 @@ def measureTimes(sample: Sample, rounds: int) -> dict[str, tuple[float, float]]:
     """Return (encode, decode) of each format in µs, medians of rounds in which they take turns."""
     size = max(1, min(200, int(SAMPLE_BYTES / sample.wireBytes)))
     wires = [wire for _, wire in islice(sample.messages, size)]
-    codecs = {name: coder(sample, name, wires) for name in FORMATS}
+    codecs = {name: coder(sample, name, wires) for name in FORMAT_NAMES}
     for encode, decode in codecs.values():
         assert decode(encode()) == wires
-    times: dict[str, list[tuple[float, float]]] = {name: [] for name in FORMATS}
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in FORMAT_NAMES}
     for _ in range(rounds):
         for name, (encode, decode) in codecs.items():
             encoded = encode()
@@ -290,7 +291,7 @@ def printTables(
     print(f"\nProcessor time to encode / decode a message, µs, median of {rounds} rounds\n")
     row("", *names)
     row("---", *["---:" for _ in names])
-    for name in FORMATS:
+    for name in FORMAT_NAMES:
         row(f"`{name}`", *["{:,.1f} / {:,.1f}".format(*t[name]) for t in times])
 
 

@@ -32,7 +32,7 @@ from suite.server import Server
 from cassandra_ros.client.spark import topic
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.tables.directory import bucket_for
+from cassandra_ros.store.tables.lengths import bucket_for
 
 ROOT = Path(__file__).resolve().parents[1]
 EXPERIMENT = "spark"

@@ -22,7 +22,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.store.tables.directory import bucket_for, span_for
+from cassandra_ros.store.tables.lengths import bucket_for, span_for
 from suite.messages import START_NS, serialized
 
 DAY_NS = 86_400 * 10**9

@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.store.tables.directory import bucket_for, span_for
+from cassandra_ros.store.tables.lengths import bucket_for, span_for
 from suite.messages import imu
 
 TOPIC = "/many"

@@ -23,7 +23,7 @@ _TOPIC, _SIDE = "cassandra_ros", "cassandra_ros_side_table"
 SIDE_COMMENT = json.dumps({_SIDE: {"version": SCHEMA_VERSION}})
 """Comment of a side table."""
 FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
-"""Names of all storage formats; messages/formats/table.py has the same names."""
+"""Names of all storage formats; each is a file in messages/formats/."""
 MAX_LIFETIME_SEC = 20 * 365 * 86_400
 """Maximum time to live that Cassandra accepts, s."""
 ANY_MD5 = "*"

@@ -25,7 +25,8 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import format_class
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.query.arrays import table_values
 from cassandra_ros.query.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.query.rows.name_resolution import Findings
@@ -138,7 +139,7 @@ def check(definition, wires, fmt):
     return found
 
 
-@pytest.mark.parametrize("fmt", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("fmt", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 @search(100)
 @given(seed=SEEDS, odd=st.booleans())
 def test_every_kind_of_field(fmt, seed, odd):
@@ -354,7 +355,7 @@ LENGTHS = ([4] * 6, [0] * 6, [4], [4, 4, 4, 3, 3, 3], [3, 4] * 3, [])
 """Number of elements in each message."""
 
 
-@pytest.mark.parametrize("fmt", FORMATS)
+@pytest.mark.parametrize("fmt", FORMAT_NAMES)
 @pytest.mark.parametrize("batch", [3, 4096])
 def test_arrays_of_one_length_have_two_dimensions(fmt, batch, monkeypatch):
     """However many messages are read together: what counts is all that are returned."""

@@ -22,14 +22,14 @@ from cassandra_ros.files.bag.stored_bag import Bag
 from cassandra_ros.messages.classes import message_class, serialize, to_yaml
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import attribute_name, parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.recording.recording import Recording
 
 T0 = 1_500_000_000 * 10**9
-every_format = pytest.mark.parametrize("form", FORMATS)
+every_format = pytest.mark.parametrize("form", FORMAT_NAMES)
 two_formats = pytest.mark.parametrize("form", ["binary", "ros"])
 
 OLD_STRING = "string data\nint8 level\n"

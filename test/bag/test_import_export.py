@@ -38,8 +38,7 @@ from cassandra_ros.files.bag.message_file import match_topics
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
-from cassandra_ros.metadata import Kind
+from cassandra_ros.metadata import FORMAT_NAMES, Kind
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics import topic_table
 
@@ -104,7 +103,7 @@ def suites_of(name, form):
     ("name", "form"),
     [
         pytest.param(name, form, marks=suites_of(name, form))
-        for name, form in product(READABLE, FORMATS)
+        for name, form in product(READABLE, FORMAT_NAMES)
         if (name, form) != ("backpack_multiecho_bz2", "yaml")
     ],
 )

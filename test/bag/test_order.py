@@ -16,7 +16,7 @@ from cassandra_ros.files.bag.comparison import verify_bag
 from cassandra_ros.files.bag.exporter import export_bag
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 SEC = 10**9
 Y2038 = 2**31 * SEC
@@ -41,7 +41,7 @@ def _place(message):
     return message.t_ns, number, position
 
 
-@pytest.mark.parametrize("form", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("form", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 def test_order_and_headers_come_back(rosCas, tmp_path, form):
     path, rand, wires = tmp_path / "a.bag", random.Random(7), []
     with BagWriter(path, chunk_bytes=2000) as writer:

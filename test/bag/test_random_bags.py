@@ -25,7 +25,7 @@ from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 SEC = 10**9
 TOPICS = ("/tf", "no_slash", "/camera/image raw", "/käse", "/'; DROP\"", "/a//b")
@@ -121,11 +121,11 @@ def compare(path, back, in_order):
 
 @pytest.mark.suite("all", "a search over random bags")
 @pytest.mark.search
-@pytest.mark.parametrize("form", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("form", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 def test_a_random_bag_comes_back_as_it_was(fresh, tmp_path, form, record_property):
     bags, count = examples(4), 0
     # Each format has bags of its own; their number is the seed.
-    for seed in range(list(FORMATS).index(form), len(FORMATS) * bags, len(FORMATS)):
+    for seed in range(list(FORMAT_NAMES).index(form), len(FORMAT_NAMES) * bags, len(FORMAT_NAMES)):
         path, back = tmp_path / f"{seed}.bag", tmp_path / f"{seed}_back.bag"
         messages = BagMaker(seed).write(path)
         with fresh() as rosCas:

@@ -15,7 +15,7 @@ from query.kinds import serialized
 from sensor_msgs.msg import LaserScan
 
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 SECOND = 10**9
 RANGES = ([1.0, 0.125, 3.0], [0.5, 0.5], [], [8.0, 0.25], [0.125, 9.0, 2.0, 2.0])
@@ -45,7 +45,7 @@ ASKED = {
 def test_every_format_gives_the_same_answers(call, rosCas, tmp_path):
     begin = (time.time_ns() // (10 * SECOND) - 6) * 10 * SECOND
     times = [begin + n * 4 * SECOND for n in range(len(RANGES))]
-    for name in FORMATS:
+    for name in FORMAT_NAMES:
         with rosCas.messageWriter(format=name, nodeID="husky") as writer:
             handle = writer.connect(live_connection(f"/{name}/scan", HEADER))
             for n, ranges in enumerate(RANGES):
@@ -54,7 +54,7 @@ def test_every_format_gives_the_same_answers(call, rosCas, tmp_path):
                     times[n] - n * SECOND, SECOND
                 )
                 writer.write(handle, times[n], n, serialized(scan))
-    for name in FORMATS:
+    for name in FORMAT_NAMES:
         topic = f"/{name}/scan"
         for asked, numbers in ASKED.items():
             found = rosCas.executeCQL(f"select KEY from {topic} {asked}")

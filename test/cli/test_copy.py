@@ -13,7 +13,7 @@ from std_msgs.msg import Int64, String
 
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.files.bag.mcap_writer import McapWriter
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 
@@ -164,7 +164,7 @@ def fill(store, tmp_path):
     registry.put_context(77, "husky", RunContext({"a": 1}, NodeGraph({}, {}, {}, {})))
     registry.put_loss(Loss("/live", "husky", 77, LossKind.BUFFER_FULL, T0, T0 + 5, 3))
     registry.put_loss(Loss("/never", "husky", 77, LossKind.UNHEARD, T0, T0, 0))
-    for name in FORMATS:
+    for name in FORMAT_NAMES:
         topic = store.addTopic(f"/{name}", name, msg_type="std_msgs/Int64", comment="mine")
         topic.addData(Int64(5), key=T0)
     manual = store.addTopic("/map", key_format="manual", msg_type="std_msgs/String")

@@ -19,7 +19,7 @@ from cassandra_ros.files.bag.file_formats import open_file
 from cassandra_ros.files.bag.size_estimate import TopicSample, estimate, sample_file
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
@@ -60,7 +60,7 @@ def test_rates_and_topics_are_those_given(capsys):
     tf, fix = sorted(found["topics"], key=lambda each: each["topic"] != "/tf")
     assert (tf["topic"], tf["rate_hz"], fix["topic"], fix["rate_hz"]) == ("/tf", 100, "/fix", 7)
     for each in (tf, fix):
-        assert set(each["bytes_a_day"]) == set(FORMATS)
+        assert set(each["bytes_a_day"]) == set(FORMAT_NAMES)
         for name, size in each["bytes_a_message"].items():
             assert each["bytes_a_day"][name] == pytest.approx(size * each["rate_hz"] * DAY)
     # A block of /tf at 100 Hz holds 50 messages.

@@ -10,12 +10,12 @@ from std_msgs.msg import String
 from suites import FEW_FORMATS, sparing
 from upkeep.test_convert import fill
 
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.stores.copying.copy_status import copy_status
 from cassandra_ros.stores.copying.replicator import Replicator
 
 
-@pytest.mark.parametrize("there", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("there", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 @pytest.mark.parametrize("here", sparing(["ros", "packed"], kept=["packed"]))
 def test_copies_are_equal_in_any_format(rosCas, home, here, there):  # noqa: F811
     fill(rosCas, here, 60)

@@ -21,8 +21,7 @@ from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
-from cassandra_ros.metadata import SCHEMA_VERSION, SIDE_COMMENT
+from cassandra_ros.metadata import FORMAT_NAMES, SCHEMA_VERSION, SIDE_COMMENT
 from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.store.tables.registry import Loss, LossKind, Run
@@ -82,7 +81,7 @@ def directory(store):
     return sorted(found)
 
 
-@pytest.mark.parametrize("fmt", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("fmt", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 def test_rows_are_copied_as_they_are_stored(rosCas, home, cql, fmt):
     fill(rosCas, fmt)
     report = Replicator(rosCas, home).copy()

@@ -29,10 +29,11 @@ from cassandra_ros.messages.classes import (
 )
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, FORMATS, format_class
+from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, format_class
+from cassandra_ros.metadata import FORMAT_NAMES
 
 SEEDS = st.integers(0, 2**32)
-every_format = pytest.mark.parametrize("name", FORMATS)
+every_format = pytest.mark.parametrize("name", FORMAT_NAMES)
 
 # CQL types that a column may have, also in a frozen list, and their bytes where always the same.
 SCALARS = "blob text boolean tinyint smallint int bigint varint float double".split()
@@ -83,13 +84,13 @@ def test_every_format_of_the_folder_is_in_the_table():
         for _, found in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
             if issubclass(found, CassandraTopic_) and not inspect.isabstract(found):
                 classes.add(found)
-    assert {format_class(name) for name in FORMATS} == classes
+    assert {format_class(name) for name in FORMAT_NAMES} == classes
     assert len(classes) >= 2
-    assert DEFAULT_FORMAT in FORMATS
+    assert DEFAULT_FORMAT in FORMAT_NAMES
 
 
 def test_unknown_format_names_those_that_are():
-    with pytest.raises(UnknownFormat, match=", ".join(FORMATS)):
+    with pytest.raises(UnknownFormat, match=", ".join(FORMAT_NAMES)):
         format_class("xml")
 
 
@@ -181,7 +182,7 @@ def test_message_objects_go_in_and_come_out(name):
         assert serialize(again) == serialize(message)
 
 
-@pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("name", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 def test_messages_of_the_bags_are_exact(name, bags):
     large = Counter()
     for path in sorted(bags.glob("*.bag")):

@@ -13,7 +13,7 @@ from suites import FEW_FORMATS, SUITE, examples, sparing
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 SEEDS = st.integers(0, 2**32)
 
@@ -50,15 +50,15 @@ def checkStored(rosCas, name, definitions, number):
         check()
 
 
-@pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("name", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 @pytest.mark.search
 def test_every_installed_type_comes_back_equal(fresh, name, record_property):
     types = installedTypes()
     assert len(types) >= 200
     # A table takes longer to make than its messages: a 24th of the types in each of two formats, or
     # each in two of all formats; all in all formats only where there is time.
-    step = {"test": 4 * len(FORMATS), "all": len(FORMATS) // 2, "campaign": 1}[SUITE]
-    types = types[list(FORMATS).index(name) % step :: step]
+    step = {"test": 4 * len(FORMAT_NAMES), "all": len(FORMAT_NAMES) // 2, "campaign": 1}[SUITE]
+    types = types[list(FORMAT_NAMES).index(name) % step :: step]
     record_property("told", f"{len(types)} message types came back equal in format {name}")
     for first in range(0, len(types), TABLES):
         with fresh() as rosCas:
@@ -67,7 +67,7 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
 
 
 @pytest.mark.suite("all", "a search over random types")
-@pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("name", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 @pytest.mark.search
 def test_random_types_come_back_equal(fresh, name):
     number = {"test": 5, "all": 20, "campaign": 40}[SUITE]

@@ -17,11 +17,12 @@ from suites import search
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS, compile_object_check
+from cassandra_ros.metadata import FORMAT_NAMES
 
 SEEDS = st.integers(0, 2**32)
-every_format = pytest.mark.parametrize("name", FORMATS)
+every_format = pytest.mark.parametrize("name", FORMAT_NAMES)
 
 # What a message object of one byte, in a list, may take, and text about it.
 BYTES_A_BYTE = 1500

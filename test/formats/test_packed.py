@@ -11,7 +11,7 @@ from std_msgs.msg import Float64, Header
 from cassandra_ros.errors import InvalidOption, InvalidQuery
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.store.tables.directory import UNKNOWN_SPAN_NS
+from cassandra_ros.store.tables.lengths import UNKNOWN_SPAN_NS
 
 SEC = 10**9
 

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class
-from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.formats.text_column import MAX_COLUMN_BYTES, ParsedFormat
+from cassandra_ros.metadata import FORMAT_NAMES
 
-PARSED = [name for name in FORMATS if issubclass(format_class(name), ParsedFormat)]
+PARSED = [name for name in FORMAT_NAMES if issubclass(format_class(name), ParsedFormat)]
 CHARACTERS = {
     "ASCII": "x",
     "two bytes": "é",
@@ -111,7 +112,7 @@ def test_the_limit_counts_the_bytes_of_a_text(name, character):
 
 
 @pytest.mark.parametrize("character", CHARACTERS.values(), ids=CHARACTERS)
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", FORMAT_NAMES)
 def test_texts_of_any_characters_are_exact_around_64_kib(name, character):
     storage = makeFormat(name, "std_msgs/String")
     message = message_class(storage.definition)

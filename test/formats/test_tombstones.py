@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 T0 = 1_500_000_000 * 10**9
 _READ = re.compile(r"Read (\d+) live rows and (\d+) tombstone cells")
@@ -71,7 +71,7 @@ def whole_buckets(cql, rosCas, topic):
     return total
 
 
-@pytest.mark.parametrize("format_name", sparing(FORMATS, kept=FEW_FORMATS))
+@pytest.mark.parametrize("format_name", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 def test_no_row_has_a_tombstone(rosCas, cql, format_name):
     wires = {name: (type(message), serialize(message)) for name, message in PLAIN.items()}
     wires.update(ODD)

@@ -21,8 +21,8 @@ from cassandra_ros.messages.connection_header import (
     live_connection,
 )
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS, format_class
-from cassandra_ros.metadata import MetaView, TopicMetadata, from_comment
+from cassandra_ros.messages.formats.table import format_class
+from cassandra_ros.metadata import FORMAT_NAMES, MetaView, TopicMetadata, from_comment
 from cassandra_ros.recording.topic_settings import read_settings
 from cassandra_ros.store.tables.schema import TableListing
 from cassandra_ros.topics.message_writer import usable_definition
@@ -47,7 +47,7 @@ def texts():
 @pytest.mark.suite("all", "a search")
 def test_definitions(give):
     real = texts()
-    names = list(FORMATS)
+    names = list(FORMAT_NAMES)
 
     def attempt(chance):
         kind, text = chance.choice(real)
@@ -86,7 +86,7 @@ def test_connection_headers(give):
         rest, place, cut = cut_definition(header)
         assert join_definition(rest, place, cut) == header
         connection = Connection("/x", header)
-        definition, warning = usable_definition(connection, chance.choice(list(FORMATS)))
+        definition, warning = usable_definition(connection, chance.choice(list(FORMAT_NAMES)))
         # A definition whose md5 is another than the connection says is read, with a warning.
         assert definition is not None or warning is not None
         assert isinstance(connection.latching, bool)

@@ -21,7 +21,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import Connection, live_connection
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 KINDS = (String, Imu, LaserScan, TFMessage, Odometry)
 DEFINITIONS = {kind: installed_definition(kind._type) for kind in KINDS}
@@ -55,7 +55,7 @@ def test_messages_that_are_written(give, rosCas):
     with rosCas.messageWriter() as writer:
 
         def attempt(chance):
-            kind, name = chance.choice(KINDS), chance.choice(list(FORMATS))
+            kind, name = chance.choice(KINDS), chance.choice(list(FORMAT_NAMES))
             topic, header = f"/{name}/{kind.__name__}", header_of(kind)
             if chance.random() < 0.03:
                 topic, header = f"/{name}/changed", fields_of(chance, kind)

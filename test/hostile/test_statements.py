@@ -17,7 +17,7 @@ from cassandra_ros.keys import Position, encode_cursor
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.query.tree.parse import parse_condition, parse_statement
 from cassandra_ros.query.tree.statement_completion import NameSource, complete
-from cassandra_ros.topics.query_result import ResultPlace, read_place
+from cassandra_ros.topics.query_result import ResultPlace, read_cursor
 
 ROOT = Path(__file__).resolve().parents[2]
 REAL = (
@@ -81,7 +81,7 @@ def test_cursors(give):
     words = [".", "=", "AAAA", "____", "0", "-1", "9" * 40, "1.0.", *map(str, LONGS)]
 
     def attempt(chance):
-        read_place(changed_text(chance, chance.choice(real), words))
+        read_cursor(changed_text(chance, chance.choice(real), words))
 
     give("cursors", 3000, attempt)
 

@@ -16,7 +16,8 @@ from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTy
 
 from cassandra_ros.messages.classes import installed_definition, message_class
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import format_class
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.blocks.block_row import HEADER_COLUMNS, Block, read_block
 from cassandra_ros.store.blocks.codec import VERSION, pack_block
 from cassandra_ros.store.tables.checksum import crc32
@@ -31,7 +32,9 @@ def storages():
     """Every format, each with some installed types and some random ones."""
     found = [installed_definition(name) for name in TYPES[:: max(1, len(TYPES) // 25)]]
     found += [parse_definition(*DefinitionMaker(seed).make()) for seed in range(15)]
-    made = [format_class(name)(each.type, each.md5sum, each) for each in found for name in FORMATS]
+    made = [
+        format_class(name)(each.type, each.md5sum, each) for each in found for name in FORMAT_NAMES
+    ]
     for each in made:
         message_class(each.definition)
         each.encode_wire(b"")

@@ -22,7 +22,7 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.files.bag.comparison import verify_bag
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.local_server import LocalCluster, free_port
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 GONE = "has not answered since"
 COUNT = 20_000
@@ -59,7 +59,7 @@ def place_of(cluster):
 @pytest.mark.fault
 @pytest.mark.parametrize("how", ["killed", "frozen"])
 def test_an_import_survives_its_server(cluster, tmp_path, caplog, how):
-    share, form = random.uniform(0.1, 0.9), random.choice(list(FORMATS))
+    share, form = random.uniform(0.1, 0.9), random.choice(list(FORMAT_NAMES))
     told = f"struck after {share} of an import in format {form}"
     path = write_bag(tmp_path / "numbered.bag", COUNT, 100)
     reached, go_on, done, reports = threading.Event(), threading.Event(), [0], []
@@ -96,7 +96,7 @@ def test_an_import_survives_its_server(cluster, tmp_path, caplog, how):
 @pytest.mark.fault
 @pytest.mark.parametrize("how", ["killed", "frozen"])
 def test_a_recording_survives_its_server(roscore, cluster, how):
-    form, place, keyspace = random.choice(list(FORMATS)), place_of(cluster), f"recorder_{how}"
+    form, place, keyspace = random.choice(list(FORMAT_NAMES)), place_of(cluster), f"recorder_{how}"
     options = ("/numbered", "--format", form, "--block-age", "0.2")
     sent = [message(String(f"{number}")) for number in range(3000)]
 

@@ -15,7 +15,8 @@ from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.classes import deserialize, message_class, serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition, render_spec
-from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, FORMATS
+from cassandra_ros.messages.formats.table import FALLBACK_FORMAT
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.topics.message_writer import usable_definition
 
 EVIL = "open('ran','w')"
@@ -218,7 +219,7 @@ def hostileConnections():
         yield live_connection(f"/hostile{number}", header)
 
 
-OTHER_FORMATS = [name for name in FORMATS if name != FALLBACK_FORMAT]
+OTHER_FORMATS = [name for name in FORMAT_NAMES if name != FALLBACK_FORMAT]
 
 
 @pytest.mark.parametrize("name", OTHER_FORMATS)

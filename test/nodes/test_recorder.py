@@ -25,7 +25,7 @@ from cassandra_ros.cli import recorder as recorder_program
 from cassandra_ros.messages.classes import message_class
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.tables.registry import LossKind
 
 
@@ -228,7 +228,7 @@ def test_a_publisher_that_changes_its_type(roscore, recorder, rosCas):
 
 
 @pytest.mark.suite("test", "promise 3, with a real publisher")
-@pytest.mark.parametrize("form", sparing(FORMATS, kept=["ros"]))
+@pytest.mark.parametrize("form", sparing(FORMAT_NAMES, kept=["ros"]))
 def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
     child = recorder("/lost", "--format", form)
     text_ = "Header header\nfloat32[] ranges\nlost_msgs/Part part\n" + "=" * 80 + "\n"

@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, encode_cursor
-from cassandra_ros.topics.query_result import START, ResultPlace, read_place
+from cassandra_ros.topics.query_result import START, ResultPlace, read_cursor
 
 POSITION = Position(5, "röbot", 1 << 40, "t_0")
 
 
 def test_round_trip():
     for place in (START, ResultPlace(7, 0, POSITION), ResultPlace(10**15, 3, POSITION)):
-        assert read_place(place.text) == place
-    assert read_place(POSITION) == ResultPlace(0, 0, POSITION)
-    assert read_place(None) == read_place("") == START
+        assert read_cursor(place.text) == place
+    assert read_cursor(POSITION) == ResultPlace(0, 0, POSITION)
+    assert read_cursor(None) == read_cursor("") == START
 
 
 @pytest.mark.parametrize(
@@ -29,12 +29,12 @@ def test_round_trip():
 )  # fmt: skip
 def test_other_text(text):
     with pytest.raises(InvalidKey):
-        read_place(text)
+        read_cursor(text)
 
 
 @given(st.text())
 def test_any_text(text):
     try:
-        read_place(text)
+        read_cursor(text)
     except InvalidKey as exc:
         assert str(exc)

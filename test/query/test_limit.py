@@ -12,7 +12,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.topics.query_result import read_place
+from cassandra_ros.topics.query_result import read_cursor
 
 FORMATS = ("packed", "ros", "binary")
 T0 = 1_400_000_000 * 10**9
@@ -87,7 +87,7 @@ def test_limits_at_every_element(store, format, reverse):
             assert read == places.index(last) + 1
             given = sum(n == last for n, _ in every[:limit])
             # After a message's last element a page begins with the next message.
-            assert read_place(cursor).skip == given % COUNTS[last]
+            assert read_cursor(cursor).skip == given % COUNTS[last]
 
 
 @pytest.mark.parametrize("reverse", [False, True])

@@ -23,8 +23,7 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
-from cassandra_ros.metadata import SCHEMA_VERSION
+from cassandra_ros.metadata import FORMAT_NAMES, SCHEMA_VERSION
 
 KEYSPACE = f"rows_v{SCHEMA_VERSION}"
 FOLDER = Path(__file__).with_name(KEYSPACE)
@@ -168,7 +167,7 @@ def keep(path, found, adding):
 
 def main(host, port, *forms):
     with RosCassandra(host, int(port), keyspace=KEYSPACE) as rosCas:
-        for form in forms or FORMATS:
+        for form in forms or FORMAT_NAMES:
             fill(rosCas, form)
         if not forms:
             fill_keys(rosCas)

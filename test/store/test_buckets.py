@@ -8,11 +8,11 @@ import pytest
 
 from cassandra_ros.arguments import MAX_TTL_SEC, check_ttl
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.store.tables.directory import (
+from cassandra_ros.store.tables.directory import SECOND_NS
+from cassandra_ros.store.tables.lengths import (
     BUCKET_LENGTHS,
     MAX_BUCKET_BYTES,
     MAX_BUCKET_ROWS,
-    SECOND_NS,
     bucket_for,
     limit_for_ttl,
 )

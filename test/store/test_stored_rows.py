@@ -16,7 +16,7 @@ from store.make_rows import FOLDER, SIDE_TABLES, long
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 
 pytestmark = pytest.mark.suite("all", "rows of each format")
 
@@ -78,7 +78,7 @@ def test_all_rows_are_read_and_the_topics_go_on(filled):
             assert topic.countTopicData(0, MAX_NS) == len(messages)
     check_values(rosCas)
     # The topics go on: new rows beside the old.
-    for form in FORMATS:
+    for form in FORMAT_NAMES:
         topic = rosCas.addTopic(f"/{form}/text", form)
         key = topic.addData(String(data="new"), nodeID="robot")
         assert topic.getData(key).data == "new"
@@ -86,7 +86,7 @@ def test_all_rows_are_read_and_the_topics_go_on(filled):
 
 
 def check_values(rosCas):
-    for form in FORMATS:
+    for form in FORMAT_NAMES:
         things = [message for _, message in rosCas.getTopic(f"/{form}/thing").items()]
         assert (things[0].number, things[0].names, things[0].parts[0].value) == (7, ["hi"], 1.0)
         assert rosCas.executeCQL(f"select number from /{form}/thing") == [(7,)]
@@ -106,7 +106,7 @@ def test_they_are_checked_converted_and_deleted(filled):
         (row,) = rosCas.getTopic(name).rows()
         assert [row.t, row.node, row.type, row.md5sum] == expected[name][0][:4]
         assert row.wire == long(expected[name][0][4])
-    for form in FORMATS:
+    for form in FORMAT_NAMES:
         topic = rosCas.getTopic(f"/{form}/text")
         assert topic.removeData(0, MAX_NS) == len(expected[topic.name])
         assert topic.countTopicData() == 0
@@ -118,6 +118,6 @@ def test_they_are_checked_converted_and_deleted(filled):
 
 def test_the_folder_has_every_format():
     names = {path.name for path in FOLDER.glob("*.json")}
-    for form in FORMATS:
+    for form in FORMAT_NAMES:
         assert any(name.startswith(f"{form}_") for name in names), "run make_rows.py"
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 300_000

@@ -23,8 +23,9 @@ from cassandra_ros.errors import InvalidName, InvalidOption, StoreUnavailable, T
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.index_field import MAX_ELEMENTS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.rows import writer as writer_module
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.store.tables.schema import TableListing
@@ -270,7 +271,7 @@ def test_a_writer_that_died_is_filled_and_may_come_back(rosCas, unhurried, monke
 
 @pytest.mark.parametrize(
     "form",
-    sparing([form for form in FORMATS if not format_class(form).PACKED], kept=["ros", "json"]),
+    sparing([form for form in FORMAT_NAMES if not format_class(form).PACKED], kept=["ros", "json"]),
 )
 def test_every_format(rosCas, form):
     numbers = [0.0, -0.0, NAN, 1.5, float("inf"), float("-inf"), 0.1, 1.5]

@@ -19,7 +19,7 @@ from suites import examples
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.files.bag.bag_writer import BagWriter
 from cassandra_ros.files.bag.importer import import_bag
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.tables import replacement
 
 SEC = 10**9
@@ -96,7 +96,7 @@ class Life:
             self._text(),
         )
         if name not in self.model:
-            form = self.random.choice(list(FORMATS))
+            form = self.random.choice(list(FORMAT_NAMES))
             self.log[-1] += f" as {form}"
             self.rosCas.addTopic(name, format=form)
         key = genpy.Time(t_ns // SEC, t_ns % SEC)
@@ -107,7 +107,7 @@ class Life:
         name, node, form = (
             self.random.choice(NAMES),
             self.random.choice(NODES),
-            self.random.choice(list(FORMATS)),
+            self.random.choice(list(FORMAT_NAMES)),
         )
         with self.rosCas.messageWriter(nodeID=node, format=form) as writer:
             handle = writer.connect(string_connection(name))
@@ -126,7 +126,7 @@ class Life:
                 writer.write(numbers[turn], t_ns, string_wire(text))
                 messages.append((names[turn], (path.name, place), t_ns, text))
         self.bags.append((path, messages))
-        self._import(path, messages, self.random.choice(list(FORMATS)))
+        self._import(path, messages, self.random.choice(list(FORMAT_NAMES)))
 
     def import_again(self):
         if self.bags:
@@ -150,7 +150,7 @@ class Life:
                 self.indexed = self.indexed - {name} | {new}
 
     def convert(self):
-        name, form = self._known(), self.random.choice(list(FORMATS))
+        name, form = self._known(), self.random.choice(list(FORMAT_NAMES))
         if name and self.model[name]:
             self.log[-1] += f" {name} {form}"
             self.rosCas.convertTopic(name, form)

@@ -18,7 +18,7 @@ from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.messages.classes import message_class
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.query.arrays import table_values
 
 T = 1_400_000_000_123_456_789
@@ -64,7 +64,7 @@ def store(rosCas, topic, messages, node="", **options):
 def test_what_every_format_gives(rosCas):
     """Values, types and order of a DataFrame, beside the messages that were stored."""
     messages = [kinds(n) for n in range(40)]
-    for fmt in FORMATS:
+    for fmt in FORMAT_NAMES:
         topic = store(rosCas, f"/{fmt}", messages, format=fmt)
         frame = topic.toDataFrame()
         assert frame.index.name == "KEY"

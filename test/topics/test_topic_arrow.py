@@ -21,8 +21,8 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.messages.formats.table import FORMATS
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.query.arrays import arrow_batches
 from cassandra_ros.query.arrays.row_columns import RowColumns
 from cassandra_ros.topics.row_reader import FollowingReader
@@ -48,7 +48,7 @@ def fill(rosCas, fmt, count=40):
     return topic
 
 
-@pytest.mark.parametrize("fmt", sparing(sorted(FORMATS), FEW_FORMATS))
+@pytest.mark.parametrize("fmt", sparing(sorted(FORMAT_NAMES), FEW_FORMATS))
 def test_every_format_gives_the_same_table(rosCas, fmt):
     topic = fill(rosCas, fmt)
     reader = topic.toArrow()

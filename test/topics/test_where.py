@@ -24,7 +24,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.rows import reader
 from cassandra_ros.topics import removal
 
@@ -161,7 +161,7 @@ def test_the_nearest_that_satisfies_it(rosCas):
     assert topic.getData(header(0).stamp, nearest="either").seq == seqs[0]
 
 
-@pytest.mark.parametrize("fmt", FORMATS)
+@pytest.mark.parametrize("fmt", FORMAT_NAMES)
 def test_it_means_the_same_in_every_format(rosCas, fmt):
     rand = random.Random(1)
     topic = rosCas.addTopic("/tf", fmt, msg_type="tf2_msgs/TFMessage")

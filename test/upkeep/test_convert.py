@@ -17,7 +17,7 @@ from cassandra_ros.keys import decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.store.tables import replacement, schema
 from cassandra_ros.topics.upkeep import conversion as convert
 from cassandra_ros.topics.upkeep import table_copy as copying
@@ -92,7 +92,7 @@ def check_conversion(rosCas, source, target):
 
 @pytest.mark.suite("test", "each format")
 def test_a_topic_goes_through_all_formats(rosCas):
-    every = [*FORMATS, *list(FORMATS)[:1]]
+    every = [*FORMAT_NAMES, *list(FORMAT_NAMES)[:1]]
     fill(rosCas, every[0], 60)
     before = seen(rosCas.getTopic("/t").rows())
     for source, target in zip(every, every[1:]):
@@ -116,8 +116,8 @@ def test_progress_counts_what_is_written_and_what_is_compared(rosCas):
 
 
 @pytest.mark.suite("all", "make test converts between fewer formats")
-@pytest.mark.parametrize("target", FORMATS)
-@pytest.mark.parametrize("source", FORMATS)
+@pytest.mark.parametrize("target", FORMAT_NAMES)
+@pytest.mark.parametrize("source", FORMAT_NAMES)
 def test_each_format_becomes_each_other(rosCas, source, target):
     fill(rosCas, source, 60)
     check_conversion(rosCas, source, target)

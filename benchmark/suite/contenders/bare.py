@@ -18,7 +18,7 @@ from cassandra.cluster import EXEC_PROFILE_DEFAULT, Cluster, ExecutionProfile, S
 from cassandra.policies import WhiteListRoundRobinPolicy
 from cassandra.query import BatchStatement, BatchType, tuple_factory
 
-from cassandra_ros.store.tables.directory import bucket_for
+from cassandra_ros.store.tables.lengths import bucket_for
 from suite.contenders.contender import Contender
 from suite.messages import Batch
 from suite.server import Server

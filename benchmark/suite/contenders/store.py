@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Iterator
 
 from cassandra_ros.files.bag.importer import import_bag
-from cassandra_ros.messages.formats.table import FORMATS
-from cassandra_ros.store.tables.directory import bucket_for, span_for
+from cassandra_ros.metadata import FORMAT_NAMES
+from cassandra_ros.store.tables.lengths import bucket_for, span_for
 from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from suite.contenders.contender import Contender
@@ -17,7 +17,7 @@ from suite.contenders.rosbags import Rosbag
 from suite.messages import Batch
 from suite.server import Server
 
-FORMAT_NAMES = tuple(name for name in ("packed", "binary", "ros") if name in FORMATS)
+FORMAT_NAMES = tuple(name for name in ("packed", "binary", "ros") if name in FORMAT_NAMES)
 
 
 class Store(Contender):

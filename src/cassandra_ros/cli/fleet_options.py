@@ -16,7 +16,7 @@ from cassandra_ros.cli.options import (
     read_seconds,
 )
 from cassandra_ros.cli.parsers import Rare, error_line
-from cassandra_ros.store.connection.address import ANSWER_SEC, read_place
+from cassandra_ros.store.connection.address import ANSWER_SEC, read_address
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -156,7 +156,7 @@ def open_target(options: argparse.Namespace, make: bool) -> RosCassandra:
     Args:
         make: The keyspace may be missing there.
     """
-    host, port, keyspace = read_place(options.target, options.keyspace)
+    host, port, keyspace = read_address(options.target, options.keyspace)
     place = {"host": host, "port": port, "keyspace": keyspace}
     login = {"cqlshrc": options.to_cqlshrc, "credentials": options.to_credentials}
     # What is written must be acknowledged by a quorum, however the source is read.

@@ -35,7 +35,8 @@ from cassandra_ros.cli.far_times import check_times, read_time
 from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.cli.readers import exact_seconds
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, TlsMismatch
-from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, FORMATS
+from cassandra_ros.messages.formats.table import DEFAULT_FORMAT
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown, shown_lines
 from cassandra_ros.store.connection.address import (
     DEFAULT_HOST,
@@ -79,9 +80,9 @@ def add_format_option(parser: argparse._ActionsContainer) -> None:
         "--format",
         metavar="F",
         type=lambda text: text or None,
-        help=f"storage format: {', '.join(FORMATS)} (default: the format that a topic has, for new "
-        f"topics {DEFAULT_FORMAT}). A topic that is stored in another format gets a second table; "
-        "'cassandra_bag convert' changes the format of what is stored",
+        help=f"storage format: {', '.join(FORMAT_NAMES)} (default: the format that a topic has, "
+        f"for new topics {DEFAULT_FORMAT}). A topic that is stored in another format gets a second "
+        "table; 'cassandra_bag convert' changes the format of what is stored",
     )
 
 

@@ -99,7 +99,7 @@ class _SegmentFile:
     """A file of the run."""
 
     path: Path
-    generation: int
+    overflows: int
     """Number of times that the counter had overflowed."""
     handed: bool
     """Whether its messages were also handed over in memory."""
@@ -269,7 +269,7 @@ class Backlog:
         read: Counter[str] = Counter()
         read_bytes = 0
         sources: dict[int, MessageSource] = {}
-        high, why = segment.generation << COUNTER_BITS, ""
+        high, why = segment.overflows << COUNTER_BITS, ""
         try:
             for segment_part in SegmentReader(segment.path).parts():
                 why = why or segment_part.damage
@@ -358,7 +358,7 @@ class Backlog:
             if not (self._journal or self._parking):
                 return False  # the writing thread has read all files meanwhile
             items = self._buffer.next_messages(SPOOL_WRITE_MESSAGES, SPOOL_WRITE_BYTES, 0.0)
-            # All messages of a file have one generation of the counter: a file names one writer.
+            # All messages of a file have the same overflows: a file names one writer.
             high = items[0].counter >> COUNTER_BITS if items else 0
             same = [item for item in items if item.counter >> COUNTER_BITS == high]
             if len(same) < len(items):
@@ -391,14 +391,14 @@ class Backlog:
 
     def _keep(self, items: Sequence[BufferedMessage], handed: bool) -> None:
         nbytes = sum(len(item.wire) for item in items)
-        generation = items[0].counter >> COUNTER_BITS
+        overflows = items[0].counter >> COUNTER_BITS
         if self._retry_at > time.monotonic() or not self._make_room(
             nbytes + MESSAGE_BYTES * len(items)
         ):
             self._do_without(items, handed)
             return
         try:
-            writer, segment = self._segment(generation, handed)
+            writer, segment = self._segment(overflows, handed)
             before = writer.size
             rows = [(i.source.connection, i.t, i.counter & _LOW, i.wire) for i in items]
             writer.append(rows)
@@ -483,21 +483,21 @@ class Backlog:
             self._delete(oldest)
         return True
 
-    def _segment(self, generation: int, handed: bool) -> _OpenSegment:
+    def _segment(self, overflows: int, handed: bool) -> _OpenSegment:
         """Return the file to write to."""
         opened = self._open
         if opened is not None:
             segment = opened.segment
-            if segment.generation == generation and segment.handed == handed:
+            if segment.overflows == overflows and segment.handed == handed:
                 return opened
             self._close_open()
-        label = self._label(generation)
+        label = self._label(overflows)
         if self._folder is None:
             self._folder = self._plan.folder.begin(label.run)
         path = self._folder.new_file()
         writer = SegmentWriter(path, label, self._run_totals)
         self._own_bytes += writer.size
-        self._open = _OpenSegment(writer, _SegmentFile(path, generation, handed))
+        self._open = _OpenSegment(writer, _SegmentFile(path, overflows, handed))
         return self._open
 
     def _close_open(self) -> None:
@@ -588,12 +588,12 @@ class Backlog:
         return not self._buffer.waits
 
     def take_back(
-        self, generation: int, handle: Handle, t_ns: int, counter: int, wire: bytes
+        self, overflows: int, handle: Handle, t_ns: int, counter: int, wire: bytes
     ) -> None:
         """Keep a message that was taken and that the store did not take. Thread-safe."""
         if not self._journal or self._gaps:
             with self._changed:
-                self._back.append((generation, (handle.connection, t_ns, counter, wire)))
+                self._back.append((overflows, (handle.connection, t_ns, counter, wire)))
 
     def put_aside(self, items: Sequence[BufferedMessage]) -> None:
         """Keep messages that were taken and not written."""
@@ -612,19 +612,19 @@ class Backlog:
             while items := self._buffer.next_messages(SPOOL_WRITE_MESSAGES, SPOOL_WRITE_BYTES, 0.0):
                 self._back += map(_spooled_row, items)
                 self._buffer.release_all(items)
-            for generation in sorted({generation for generation, _ in self._back}):
-                rows = [row for row_generation, row in self._back if row_generation == generation]
+            for overflows in sorted({overflows for overflows, _ in self._back}):
+                rows = [row for row_overflows, row in self._back if row_overflows == overflows]
                 for first in range(0, len(rows), SPOOL_WRITE_MESSAGES):
-                    self._keep_rows(generation, rows[first : first + SPOOL_WRITE_MESSAGES])
+                    self._keep_rows(overflows, rows[first : first + SPOOL_WRITE_MESSAGES])
             self._back.clear()
 
-    def _keep_rows(self, generation: int, rows: Sequence[SpooledMessage]) -> None:
+    def _keep_rows(self, overflows: int, rows: Sequence[SpooledMessage]) -> None:
         totals = _totals_of((connection.topic, t) for connection, t, _, _ in rows)
         if not self._make_room(sum(len(row[3]) + MESSAGE_BYTES for row in rows)):
             self._lose_totals(totals)
             return
         try:
-            self._segment(generation, False).writer.append(rows)
+            self._segment(overflows, False).writer.append(rows)
         except (OSError, CassandraRosError) as exc:
             self._lose_totals(totals, LossKind.AT_END, str(exc))
 

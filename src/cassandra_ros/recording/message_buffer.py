@@ -13,7 +13,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.recording.filters import TopicFilter
 from cassandra_ros.recording.place_keeper import tells_places
-from cassandra_ros.store.tables.directory import UNKNOWN_SPAN_NS, Lengths, bucket_for, span_for
+from cassandra_ros.store.tables.lengths import UNKNOWN_SPAN_NS, Lengths, bucket_for, span_for
 from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.message_writer import Handle
 

@@ -40,7 +40,7 @@ from cassandra_ros.recording.topic_settings import (
     settings_as_json,
 )
 from cassandra_ros.store.tables.context_blob import RunContext
-from cassandra_ros.store.tables.directory import Lengths
+from cassandra_ros.store.tables.lengths import Lengths
 from cassandra_ros.store.tables.registry import LossKind, Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, make_writer
 from cassandra_ros.topics.run_finder import describe_runs
@@ -183,9 +183,9 @@ class Recording:
         self._thread = self._thread_of(self._run, "recorder-writer")
         self._thread_of(self._keep, "recorder-losses")
 
-    def _label(self, spool: SpoolPlan, generation: int) -> SpoolLabel:
+    def _label(self, spool: SpoolPlan, overflows: int) -> SpoolLabel:
         return SpoolLabel(
-            self._number(generation),
+            self._number(overflows),
             self.writer_id,
             spool.keyspace,
             spool.address,
@@ -197,12 +197,12 @@ class Recording:
             journal=spool.journal,
         )
 
-    def _number(self, generation: int) -> int:
+    def _number(self, overflows: int) -> int:
         """Return the writer id after so many overflows of the counter."""
         with self._lock:
-            while len(self._numbers) <= generation:
+            while len(self._numbers) <= overflows:
                 self._numbers.append(new_writer_id())
-            return self._numbers[generation]
+            return self._numbers[overflows]
 
     def _source(self, connection: Connection) -> MessageSource:
         with self._lock:
@@ -606,13 +606,13 @@ class Recording:
         return item
 
     def _write(self, item: BufferedMessage, handle: Handle) -> None:
-        generation, counter = divmod(item.counter, 1 << COUNTER_BITS)
+        overflows, counter = divmod(item.counter, 1 << COUNTER_BITS)
         source = item.source
         try:
-            while len(self._writers) <= generation:
+            while len(self._writers) <= overflows:
                 self._writers.append(self._make_writer(self._number(len(self._writers))))
-            writer = self._writers[generation]
-            if generation:  # the counter overflowed: another writer with its own handles
+            writer = self._writers[overflows]
+            if overflows:  # the counter overflowed: another writer with its own handles
                 handle = connect(writer, source.connection, Lengths(), self._settings)
             writer.write(handle, item.t, counter, item.wire)
         except CassandraRosError as exc:
@@ -732,8 +732,8 @@ class Recording:
                 return
             self._left = True
             self._backlog.leave()
-            for generation, writer in enumerate(list(self._writers)):
-                writer.give_back(partial(self._backlog.take_back, generation))
+            for overflows, writer in enumerate(list(self._writers)):
+                writer.give_back(partial(self._backlog.take_back, overflows))
 
     def _hurry(self) -> None:
         for writer in list(self._writers):

@@ -48,7 +48,7 @@ from cassandra_ros.recording.message_buffer import lengths_for
 from cassandra_ros.recording.table_maker import MAX_CONFLICTS, PAUSE_SEC, connect
 from cassandra_ros.recording.topic_settings import RecordingSettings, settings_from_json
 from cassandra_ros.store.connection.driver_errors import is_denied
-from cassandra_ros.store.tables.directory import Lengths
+from cassandra_ros.store.tables.lengths import Lengths
 from cassandra_ros.store.tables.registry import Loss, LossKind, Run
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.keyspace import Keyspace

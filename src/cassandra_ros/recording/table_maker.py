@@ -27,7 +27,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.recording.message_buffer import MessageSource
 from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
-from cassandra_ros.store.tables.directory import Lengths
+from cassandra_ros.store.tables.lengths import Lengths
 from cassandra_ros.topics.message_writer import Asked, Handle, MessageWriter
 
 _log = logging.getLogger(__name__)

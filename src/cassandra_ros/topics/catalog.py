@@ -208,7 +208,7 @@ class Catalog:
             )
         removed = count_rows(space.directory, tables, Read())
         for table in space.schema.drop_topic(name, renew=renew):
-            space.forget_table(table)
+            space.delete_entries(table)
         space.registry.forget_losses(name)
         if not renew:
             with self._mutex:

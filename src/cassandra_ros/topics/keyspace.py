@@ -62,11 +62,11 @@ class Keyspace:
         every = self.schema.tables(fresh=True)
         return [self.tables.get(name, metadata) for name, metadata in every.items()]
 
-    def forget_table(self, table: str) -> None:
+    def delete_entries(self, table: str) -> None:
         """Delete what directory, registry and index of places say of a table that is not read."""
-        self.directory.forget(table)
-        self.registry.forget(table)
-        self.place_index.forget(table)
+        self.directory.delete_entries(table)
+        self.registry.delete_entries(table)
+        self.place_index.delete_entries(table)
 
     def nodes(self, tables: Sequence[TopicTable]) -> list[str]:
         """Return the nodeIDs that have stored messages in some tables, sorted."""

@@ -139,7 +139,7 @@ class ResultPlace(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Cursor text for ``read_place``; '' at the beginning."""
+        """Cursor text for ``read_cursor``; '' at the beginning."""
         at = self.position
         return "" if at is None else f"{self.given}.{self.skip}.{encode_cursor(at)}"
 
@@ -147,7 +147,7 @@ class ResultPlace(NamedTuple):
 START = ResultPlace(0, 0, None)
 
 
-def read_place(cursor: Cursor) -> ResultPlace:
+def read_cursor(cursor: Cursor) -> ResultPlace:
     """Return the place that a cursor stands for; for a Position, the place after its message.
 
     Raises:
@@ -216,7 +216,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self.select = select = with_stays(select, tables, bounds.read)
         if not any(table.named for table in tables):
             _warn_of_units(select, source)
-        self._place = place = read_place(after)
+        self._place = place = read_cursor(after)
         self._given = self._skip = 0
         self._row: Row | None = None
         """Row of which the last result rows were taken."""

@@ -24,7 +24,7 @@ from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown
 
 
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, format and the store."""
     add = parser.add_argument
     add_topics(parser, "stored topics", "+")
-    add("--format", required=True, choices=FORMATS, help="the format to keep them in")
+    add("--format", required=True, choices=FORMAT_NAMES, help="the format to keep them in")
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
     add_json_option(parser)
     add_store_options(parser)

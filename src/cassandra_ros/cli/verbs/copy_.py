@@ -44,7 +44,7 @@ from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
-from cassandra_ros.messages.formats.table import FORMATS
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_origin_options(parser)
     add(
         "--format",
-        choices=FORMATS,
+        choices=FORMAT_NAMES,
         help="format there (default: the one that a topic has there, for new topics that of here)",
     )
     add("--rules", metavar="FILE", help="rules by topic, as config/replicator.yaml (default: none)")

@@ -36,7 +36,8 @@ from cassandra_ros.cli.readers import checked
 from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, topics_among
 from cassandra_ros.errors import AccessDenied
-from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, FORMATS
+from cassandra_ros.messages.formats.table import DEFAULT_FORMAT
+from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "days that the cluster keeps messages (default: %(default)s)"
     add("--days", metavar="DAYS", type=_days, default=30.0, help=text)
     text = "format in which the cluster keeps them (default: %(default)s)"
-    add("--format", choices=FORMATS, default=DEFAULT_FORMAT, help=text)
+    add("--format", choices=FORMAT_NAMES, default=DEFAULT_FORMAT, help=text)
     text = "maximum number of messages of each topic that are encoded (default: %(default)s)"
     add("--sample", metavar="NUM", type=_number, default=1000, help=text)
     text = "measure what can be read of a damaged or unclosed FILE.bag (default: refuse it)"
@@ -228,17 +229,17 @@ def _need(sizes: Sequence[TopicSize], format: str, days: float) -> ClusterNeed:
 
 def _print_topics(sizes: Sequence[TopicSize]) -> None:
     measured = any(size.measured is not None for size in sizes)
-    header = ["topic", "rate", "message", *(f"{name}/day" for name in FORMATS)]
+    header = ["topic", "rate", "message", *(f"{name}/day" for name in FORMAT_NAMES)]
     header += ["stored as", "estimated", "measured"] * measured
     rows = [_row(size, measured) for size in sizes]
-    total = [_bytes(_sum(size.bytes_a_day[name] for size in sizes)) for name in FORMATS]
+    total = [_bytes(_sum(size.bytes_a_day[name] for size in sizes)) for name in FORMAT_NAMES]
     rows.append(["total", "", "", *total, *[""] * (3 * measured)])
     print(format_table(header, rows, right=set(header) - {"topic", "stored as"}))
 
 
 def _row(size: TopicSize, measured: bool) -> list[str]:
     rate = "-" if size.rate_hz is None else f"{size.rate_hz:.1f} Hz"
-    days = [_bytes(size.bytes_a_day[name]) for name in FORMATS]
+    days = [_bytes(size.bytes_a_day[name]) for name in FORMAT_NAMES]
     cells = [shown(size.topic), rate, _bytes(size.message_bytes), *days]
     if measured:
         estimated = size.bytes_a_message.get(size.stored_format)

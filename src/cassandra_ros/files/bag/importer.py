@@ -43,8 +43,9 @@ from cassandra_ros.metadata import Kind
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store.blocks.block_builder import limits_for
 from cassandra_ros.store.rows.writer import WriteStats
-from cassandra_ros.store.tables.directory import CLOCKS_SEC, Lengths, bucket_for, span_for
+from cassandra_ros.store.tables.directory import CLOCKS_SEC
 from cassandra_ros.store.tables.event_table import Event
+from cassandra_ros.store.tables.lengths import Lengths, bucket_for, span_for
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.event_finder import Events

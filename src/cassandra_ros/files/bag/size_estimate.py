@@ -19,12 +19,12 @@ from cassandra_ros.files.bag.message_file import MessageFile, connections_of_top
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.messages.formats.table import FORMATS, format_class
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.metadata import Kind
+from cassandra_ros.metadata import FORMAT_NAMES, Kind
 from cassandra_ros.store.blocks.block_builder import ALONE_BYTES
 from cassandra_ros.store.blocks.codec import pack_block
-from cassandra_ros.store.tables.directory import MAX_BLOCK_BYTES, MAX_MESSAGES
+from cassandra_ros.store.tables.lengths import MAX_BLOCK_BYTES, MAX_BLOCK_MESSAGES
 from cassandra_ros.store.tables.row_table import INLINE_COLUMN_BYTES, LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_writer import connection_kind
@@ -199,7 +199,7 @@ def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, FormatSize |
         block_sec: Format ``packed``: time that a recorder fills a block at most, s.
     """
     sizes: dict[str, FormatSize | None] = {}
-    for name in FORMATS:
+    for name in FORMAT_NAMES:
         try:
             encoder = format_class(name)(sample.type, sample.md5sum, sample.definition)
         except DefinitionError:
@@ -256,8 +256,8 @@ def _blocks(
     encoder: CassandraTopic_, sample: TopicSample, block_sec: float
 ) -> Iterable[tuple[bytes, int]]:
     at = 0
-    rate = sample.rate_hz or float(MAX_MESSAGES)
-    most = max(1, min(MAX_MESSAGES, round(rate * block_sec)))
+    rate = sample.rate_hz or float(MAX_BLOCK_MESSAGES)
+    most = max(1, min(MAX_BLOCK_MESSAGES, round(rate * block_sec)))
     while at < len(sample.wires):
         stop, nbytes = at + 1, len(sample.wires[at][1])
         while stop < min(at + most, len(sample.wires)):

@@ -21,7 +21,7 @@ import numpy as np
 
 from cassandra_ros.store.blocks.codec import Longs, pack_block
 from cassandra_ros.store.tables.checksum import crc32
-from cassandra_ros.store.tables.directory import MAX_BLOCK_BYTES, MAX_MESSAGES
+from cassandra_ros.store.tables.lengths import MAX_BLOCK_BYTES, MAX_BLOCK_MESSAGES
 from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES, RowTable
 
 MIN_BYTES = 16 * 1024
@@ -34,7 +34,7 @@ ALONE_BYTES = 64 * 1024
 class BlockLimits(NamedTuple):
     """Maximum number of messages and of serialised bytes in one block."""
 
-    messages: int = MAX_MESSAGES
+    messages: int = MAX_BLOCK_MESSAGES
     bytes: int = MAX_BLOCK_BYTES
 
 
@@ -45,7 +45,7 @@ def limits_for(connections: int) -> BlockLimits:
     """Return the limits of blocks for ``connections`` blocks that are filled at the same time."""
     nbytes = max(MIN_BYTES, min(MAX_BLOCK_BYTES, ALL_BYTES // max(connections, 1)))
     # Each message takes some memory in addition to its bytes.
-    return BlockLimits(nbytes * MAX_MESSAGES // MAX_BLOCK_BYTES, nbytes)
+    return BlockLimits(nbytes * MAX_BLOCK_MESSAGES // MAX_BLOCK_BYTES, nbytes)
 
 
 MessageAgain = Callable[[int, int, bytes], object]

@@ -61,7 +61,7 @@ _PLACE = re.compile(
 )
 
 
-def read_place(text: str, keyspace: str) -> tuple[str, int, str]:
+def read_address(text: str, keyspace: str) -> tuple[str, int, str]:
     """Return host, port and keyspace of another store.
 
     Args:

@@ -37,7 +37,6 @@ from typing import (
     Tuple,
 )
 
-from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.connection.cassandra import REQUESTS_AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.store.connection.requests import Seconds, sent_ahead
@@ -50,17 +49,6 @@ from cassandra_ros.store.tables.bucket_columns import (
 from cassandra_ros.store.tables.row_table import RowTable
 from cassandra_ros.store.tables.side_tables import SideTables
 
-BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
-MAX_BUCKET_BYTES = 64_000_000
-MAX_BUCKET_ROWS = 100_000
-MAX_MESSAGES = 1024
-"""Maximum number of messages in a block."""
-MAX_BLOCK_BYTES = 256 * 1024
-"""Maximum number of serialised bytes in a block."""
-MIN_SPAN_NS = 10_000_000
-UNKNOWN_SPAN_NS = 10 * SECOND_NS
-"""Minimum time range of a block, ns; and the time range of a block if the rate is unknown, ns."""
-BLOCKS_IN_SPAN = 4
 SLOT_BUCKETS = 4096
 """Number of buckets in one partition of the directory."""
 ALL_ROWS = 2**31 - 1
@@ -89,59 +77,6 @@ MANY_SLOTS = 1024
 """Maximum number of slots cached for one table."""
 WIDER = 4
 """Ratio between the sizes of two consecutive windows."""
-
-
-class Lengths(NamedTuple):
-    """Lengths of buckets and blocks, fixed when a table is made, in ns; 0 = the rate is unknown."""
-
-    bucket_ns: int = 0
-    """Length of a bucket, ns."""
-    span_ns: int = 0
-    """Maximum time range of a block, ns."""
-    large: bool = False
-    """Whether the messages seen so far are too large to be stored in their rows."""
-
-
-def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:
-    """Return the length of a topic's buckets.
-
-    Args:
-        rate_hz: Messages a second, >= 0.
-        bytes_per_sec: Serialised bytes a second, >= 0.
-        longest_ns: Maximum length, ns; give a short one if the rate may still grow.
-
-    Returns:
-        The longest of 1 s, 10 s, 1 min, 10 min, 1 h, 6 h and 1 day that has at most 64 MB and
-        100,000 rows a bucket, in ns; 1 s if all have more.
-    """
-    for length in reversed(BUCKET_LENGTHS):
-        seconds = length / SECOND_NS
-        fits = rate_hz * seconds <= MAX_BUCKET_ROWS and bytes_per_sec * seconds <= MAX_BUCKET_BYTES
-        if length <= longest_ns and fits:
-            return length
-    return BUCKET_LENGTHS[0]
-
-
-def span_for(rate_hz: float, bytes_per_sec: float) -> int:
-    """Return the maximum time range of a block of a connection, ns.
-
-    It is the time of four full blocks at this rate of messages and of serialised bytes a second,
-    at least 10 ms; 10 s if the rate is unknown (0).
-    """
-    if not rate_hz:
-        return UNKNOWN_SPAN_NS
-    seconds = BLOCKS_IN_SPAN * MAX_MESSAGES / rate_hz
-    if bytes_per_sec:
-        seconds = min(seconds, BLOCKS_IN_SPAN * MAX_BLOCK_BYTES / bytes_per_sec)
-    return int(max(min(seconds * SECOND_NS, BUCKET_LENGTHS[-1]), MIN_SPAN_NS))
-
-
-def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:
-    """Return a bucket length of which at least 24 fit into a TTL; 0 = rows do not expire."""
-    if not ttl_sec:
-        return bucket_ns
-    longest = min(bucket_ns, ttl_sec * SECOND_NS // 24)
-    return max((n for n in BUCKET_LENGTHS if n <= longest), default=BUCKET_LENGTHS[0])
 
 
 def slot_of(bucket: int) -> int:
@@ -632,7 +567,7 @@ class Directory:
         rows = self._tables.select("cr_node", "DISTINCT tbl", what="listing the directory")
         return {table for (table,) in rows}
 
-    def forget(self, table: str) -> None:
+    def delete_entries(self, table: str) -> None:
         """Delete all entries of a table that was dropped."""
         slots = [(table, node, slot) for slot, node in self.nodes(table, *_EVER)]
         key = ("tbl", "node", "slot")

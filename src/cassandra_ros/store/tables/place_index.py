@@ -144,7 +144,7 @@ class PlaceIndex:
         if keys:
             self._tables.delete("cr_placed", ("tbl", "node", "writer", "robot"), keys, what)
 
-    def forget(self, table: str) -> None:
+    def delete_entries(self, table: str) -> None:
         """Delete the rows of cr_placed of a dropped table; its visits are never read then."""
         if self._tables.has("cr_placed"):
             what = "clearing the index of places"

@@ -207,7 +207,7 @@ class Registry:
         rows = self._tables.select("cr_connection", "tbl", what="listing the connections")
         return {table for (table,) in rows}
 
-    def forget(self, table: str) -> None:
+    def delete_entries(self, table: str) -> None:
         """Delete the connection headers of a dropped table (a full scan: connections are few)."""
         rows = self._tables.select("cr_connection", "tbl, conn", what="listing the connections")
         mine = [row for row in rows if row[0] == table]

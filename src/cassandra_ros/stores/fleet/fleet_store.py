@@ -21,7 +21,7 @@ from typing import Sequence
 from cassandra_ros.arguments import check_list
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import ConnectionFailed, InvalidOption
-from cassandra_ros.store.connection.address import DEFAULT_KEYSPACE, read_place
+from cassandra_ros.store.connection.address import DEFAULT_KEYSPACE, read_address
 from cassandra_ros.store.connection.cassandra import is_quorum
 from cassandra_ros.store.connection.login import read_sections
 from cassandra_ros.topics.catalog import Catalog
@@ -72,7 +72,7 @@ def read_places(
             )
         if name in places:
             raise InvalidOption(f"store {name} is given twice")
-        host, port, space = read_place(settings.get("place", name), keyspace)
+        host, port, space = read_address(settings.get("place", name), keyspace)
         login = (settings.get("cqlshrc", cqlshrc), settings.get("credentials", credentials))
         places[name] = StoreAddress(name, host, port, space, *login)
     if not places:

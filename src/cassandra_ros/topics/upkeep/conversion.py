@@ -30,8 +30,9 @@ from cassandra_ros.metadata import Kind, TopicMetadata
 from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.store.rows.fetch import list_names
 from cassandra_ros.store.tables import replacement
-from cassandra_ros.store.tables.directory import STALE_SEC, span_for
+from cassandra_ros.store.tables.directory import STALE_SEC
 from cassandra_ros.store.tables.expiry import set_lifetime
+from cassandra_ros.store.tables.lengths import span_for
 from cassandra_ros.store.tables.schema import TablePlan
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed, planner
@@ -222,11 +223,11 @@ def _forget_left(space: Keyspace, topic: str) -> None:
     _await_writers(space, topic, [table for table, _ in late])
     for table, olds in late:
         TableCopy(space, olds, table, None).add_written_since(table.metadata.since_us)
-    replacement.clear(space.schema, topic, space.forget_table)
+    replacement.clear(space.schema, topic, space.delete_entries)
     for table in space.tables.of_topic(topic):
         for old in table.metadata.replaces:
             if space.directory.nodes(old, -(2**63), 2**63 - 1):
-                space.forget_table(old)
+                space.delete_entries(old)
 
 
 def block_span(space: Keyspace, tables: Sequence[TopicTable], connections: int) -> int:
@@ -352,4 +353,4 @@ class Conversion:
     def _give_up(self, new: TopicTable) -> None:
         """Delete the new table, unless it has already replaced the old ones."""
         with suppress(CassandraRosError):  # the next conversion deletes what is left
-            replacement.drop(self._space.schema, [new.name], self._space.forget_table)
+            replacement.drop(self._space.schema, [new.name], self._space.delete_entries)

@@ -490,7 +490,7 @@ class _Check:
                 self._note_unread(DamageKind.DEFINITION, "", table, text)
                 continue
             if self._repair:
-                space.forget_table(table)
+                space.delete_entries(table)
             text = (
                 f"the directory knows a table {table} that was dropped: the "
                 "client that removed its topic died; --repair forgets it"
