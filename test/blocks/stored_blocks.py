@@ -67,7 +67,7 @@ def put_block(rosCas, table, node, conn, messages, received=None, **changed):
     statement = rosCas.cassandra.prepare(
         f"INSERT INTO {table.qualified} ({names}) VALUES ({marks})"
     )
-    place = table.place(node, table.bucket_of(times[0]))
+    place = table.partition_key(node, table.bucket_of(times[0]))
     table.send(bind(statement, (*place, *values.values()))).page()
 
 

@@ -198,7 +198,7 @@ def test_messages_and_single_ones(mixed):
         for t in (T0 - 5, T0 + 1, T0 + 5 * SEC + 7, T0 + 10**12):
             found = fleet.getRow("t0", t, nearest=nearest)
             expected = topic.getRow(t, nearest=nearest)
-            assert (found and found.place) == (expected and expected.place)
+            assert (found and found.identity) == (expected and expected.identity)
     assert fleet.getData("t0", T0 - 1, default=None) is None
     with pytest.raises(MessageNotFound, match="no store of the fleet has a message"):
         fleet.getData("t0", T0 - 1)

@@ -157,7 +157,7 @@ def test_no_answer_differs_because_the_books_are_believed(
         assert fleet.getData(topic, low, high) == whole.getData(topic, low, high)
         for nearest in ("before", "after", "either"):
             found, expected = (f.getRow(topic, low, nearest=nearest) for f in (fleet, whole))
-            assert (found and found.place) == (expected and expected.place)
+            assert (found and found.identity) == (expected and expected.identity)
         assert facts(fleet, topic) == facts(whole, topic)
 
 

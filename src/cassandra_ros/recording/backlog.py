@@ -414,7 +414,7 @@ class Backlog:
             segment.through = self._given
             if self._bare:
                 self._bare = False
-                _log.warning("the journal in the spool %s is written again", self.place)
+                _log.warning("the journal in the spool %s is written again", self.path)
         else:
             self._messages += len(items)
             self._nbytes += nbytes
@@ -436,7 +436,7 @@ class Backlog:
                     "journal until there is room, so a kill -9 may lose more than 1 s; its own "
                     "files are deleted as soon as the store has their messages; other room is made "
                     "by %s",
-                    self.place,
+                    self.path,
                     "deleting files on this disk"
                     if self._retry_at > time.monotonic()
                     else "'cassandra_bag spool drain' or 'spool drop', which take what earlier "
@@ -556,7 +556,7 @@ class Backlog:
     # ---------------------------------------------------------------- state and end
 
     @property
-    def place(self) -> str:
+    def path(self) -> str:
         """Path of the spool."""
         return str(self._plan.folder.path)
 

@@ -467,7 +467,7 @@ class Recording:
     @property
     def spool(self) -> str:
         """Path of the spool; '' = messages wait in memory only."""
-        return "" if self._backlog is None else self._backlog.place
+        return "" if self._backlog is None else self._backlog.path
 
     def count(self, topic: str) -> int:
         """Return the number of received messages of a topic."""
@@ -801,7 +801,7 @@ class Recording:
         if not self.is_held_up:
             return text
         if self._backlog is not None:
-            return f"{text}; they are kept in memory and in the spool {self._backlog.place}"
+            return f"{text}; they are kept in memory and in the spool {self._backlog.path}"
         bound = f"{self._buffer_bytes >> 20} MB wait" if self._buffer_bytes else "memory is full"
         return (
             f"{text}; they are kept in memory until {bound}, then the oldest are dropped; when the "

@@ -104,7 +104,7 @@ class StoredRow:
         return self._row[13:15]
 
     @property
-    def place(self) -> MessageIdentity:
+    def identity(self) -> MessageIdentity:
         """Identity of the message in all tables: a conversion moves it to another table."""
         return (self.t, self.node, self.seq, self.name)
 

@@ -371,13 +371,13 @@ def _held_messages(rows: Iterable[FleetRow], t: int, since: int) -> list[FleetRo
                 continue  # a store without an earlier version gives its first
         elif row.table.msg_type in TRANSFORM_TYPES and row.t >= max(since, t - TRANSFORMS_NS):
             moving.add(row.topic)
-            key = row.topic, row.place
+            key = row.topic, row.identity
         elif _is_latched(row):
             holds_alone = row.table.msg_type in TRANSFORM_TYPES
-            key = row.topic, row.place if holds_alone else publisher_of(row)
+            key = row.topic, row.identity if holds_alone else publisher_of(row)
         last[key] = row
     held_rows = (row for key, row in last.items() if len(key) > 1 or row.topic not in moving)
-    return sorted(held_rows, key=lambda row: row.place)
+    return sorted(held_rows, key=lambda row: row.identity)
 
 
 def _is_latched(row: FleetRow) -> bool:

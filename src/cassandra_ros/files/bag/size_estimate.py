@@ -168,9 +168,9 @@ def _fill(
     seen = set()
     for start in starts:
         for row in topic.rows(key=start, limit=-(-most // len(starts))):
-            if row.table.name != sample.table or row.place in seen:
+            if row.table.name != sample.table or row.identity in seen:
                 continue
-            seen.add(row.place)
+            seen.add(row.identity)
             if not sample.add_message(row.received, row.wire, most):
                 return
 

@@ -219,7 +219,7 @@ class History:
             self._look()
             if self._queue.closed:
                 return
-            if row.place not in self._done:
+            if row.identity not in self._done:
                 if self._is_head(row, heads):
                     break
                 yield from self._give(row)
@@ -251,8 +251,8 @@ class History:
         except MessageNotFound:
             return None
         except CorruptMessage as exc:
-            self.lost += row.place not in self._done
-            self._done[row.place] = row.received
+            self.lost += row.identity not in self._done
+            self._done[row.identity] = row.received
             _log.error("a stored message is left out: %s", exc)
             return None
 
@@ -260,9 +260,9 @@ class History:
         wire = self._wire(row)
         if wire is None:
             return
-        self._done[row.place] = row.received
+        self._done[row.identity] = row.received
         self._newest = max(self._newest, row.received)
-        self._seen.pop(row.place, None)
+        self._seen.pop(row.identity, None)
         stream = _stream(row)
         dropped = self._queue.dropped.get(stream.publisher)
         mark = self._last[stream] = MessageFingerprint(row.received, digest_of(wire))
@@ -309,7 +309,7 @@ class History:
         firsts = {who: w.messages[0].t for who, w in self._queue.waiting().items()}
         high = max([self._queue.began_ns, *firsts.values()]) + reach_ns
         for row in self._past.rows(self._low, high):
-            if row.place in self._done or row.place in self._seen:
+            if row.identity in self._done or row.identity in self._seen:
                 continue
             stream = _stream(row)
             if row.received > firsts.get(stream.publisher, high) + reach_ns:
@@ -317,7 +317,7 @@ class History:
             wire = self._wire(row)
             if wire is not None:
                 mark = MessageFingerprint(row.received, digest_of(wire))
-                self._seen[row.place] = _StoredMark(row.arrival, stream, mark)
+                self._seen[row.identity] = _StoredMark(row.arrival, stream, mark)
 
     def _places(
         self,
@@ -394,7 +394,7 @@ class History:
         try:
             for row in self._past.rows(low, max(b[0] for b in self._over.values())):
                 bound = self._over.get(_stream(row))
-                if bound is None or row.arrival >= bound or row.place in self._done:
+                if bound is None or row.arrival >= bound or row.identity in self._done:
                     continue
                 if not self._is_heard(row):
                     times.append(row.received)
@@ -431,12 +431,12 @@ class History:
                 return
             stream = _stream(row)
             bound = bounds.get(stream)
-            if bound is None or row.arrival >= bound or row.place in self._done:
+            if bound is None or row.arrival >= bound or row.identity in self._done:
                 continue
-            if row.place not in self._seen and self._is_heard(row):
+            if row.identity not in self._seen and self._is_heard(row):
                 continue  # stored after the bound had been found
             yield from self._live_before(row.received, expected)
-            if row.place in self._seen:
+            if row.identity in self._seen:
                 expected[stream.publisher] -= 1
             yield from self._give(row)
 

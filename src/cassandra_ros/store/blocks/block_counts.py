@@ -48,7 +48,7 @@ def headers(
         ends[1] = high, MAX_SEQ
     request = table.select_range(
         HEADER_COLUMNS,
-        table.place(node, bucket),
+        table.partition_key(node, bucket),
         (ends[0], ends[1]),
         terms=tuple(terms),
         page_rows=PAGE_HEADERS,
@@ -62,7 +62,7 @@ def headers(
 
 def opened(table: RowTable, node: str, bucket: int, rows: Iterator[BlockRow]) -> Iterator[Block]:
     """Read and unpack blocks with known headers; blocks deleted meanwhile are left out."""
-    place, keys = table.place(node, bucket), [row.key for row in rows]
+    place, keys = table.partition_key(node, bucket), [row.key for row in rows]
     for n in range(0, len(keys), _AT_ONCE):
         for row in read_blocks(table, ask_blocks(table, place, keys[n : n + _AT_ONCE]).page()):
             yield Block(table, node, row)

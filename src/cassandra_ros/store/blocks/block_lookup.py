@@ -33,7 +33,7 @@ def ask_over(table: RowTable, node: str, t: int, writer: int | None = None) -> P
     if writer is not None:
         seqs = writer << COUNTER_BITS, ((writer + 1) << COUNTER_BITS) - 1
     bounds = (first, t, *seqs, t)
-    values = (*table.place(node, bucket), *map(encode_long, bounds))
+    values = (*table.partition_key(node, bucket), *map(encode_long, bounds))
     return table.send(bind(table.select_over(WHOLE_BLOCK_COLUMNS), values, _PAGE_BLOCKS))
 
 

@@ -92,7 +92,7 @@ class BucketRead:
     page_bytes: int = 2 * 1024 * 1024
 
     def __post_init__(self) -> None:
-        self._place = self.table.place(self.node, self.bucket)
+        self._place = self.table.partition_key(self.node, self.bucket)
         begin = self.bucket * self.table.metadata.bucket_ns
         low = self.ends[0][0]
         # An earlier block may reach into the range.

@@ -63,7 +63,7 @@ class Backfill:
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
         table = self._table
         names = f'{table.listing()}, WRITETIME("_conn"), TTL("_conn")'
-        request = table.select_range(names, table.place(node, bucket), page_rows=size)
+        request = table.select_range(names, table.partition_key(node, bucket), page_rows=size)
         # Back-filling must not slow down recorders, so no page is requested ahead.
         for page in request.pages(ahead=False):
             yield [self._written_row(node, values) for values in page if not table.is_rest(values)]

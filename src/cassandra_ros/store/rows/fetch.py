@@ -196,7 +196,7 @@ def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
     ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
     if table.packed:
         return stream(BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1))
-    place, page_rows = table.place(node, table.bucket_of(t)), 1 + reverse
+    place, page_rows = table.partition_key(node, table.bucket_of(t)), 1 + reverse
     return table.select_range(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
 
 
@@ -230,7 +230,7 @@ def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
     table, (t, node, seq, _, name) = key
     if table.packed:
         return ask_one(table, key.position, any_seq=any_seq)
-    place = table.place_of(node, t, name)
+    place = table.partition_key_of(node, t, name)
     if any_seq:
         return table.ask_row(place, t, None)
     return table.ask_row(place, *table.stored_order(t, seq))
@@ -342,7 +342,10 @@ def versions(
 
 def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
     request = table.select_range(
-        table.listing(), table.place(node, name), page_rows=VERSION_PAGE_ROWS, reverse=reverse
+        table.listing(),
+        table.partition_key(node, name),
+        page_rows=VERSION_PAGE_ROWS,
+        reverse=reverse,
     )
     for values in request.rows(ahead=False):
         yield table.row_from_values(node, values, name)
@@ -369,7 +372,7 @@ def keys_by_shadow(
     for bucket in sorted(buckets):
         row_keys = []
         for node in buckets[bucket]:
-            values = (*table.place(node, bucket), value)
+            values = (*table.partition_key(node, bucket), value)
             row_keys += table.collect(bind(statement, values, KEY_PAGE_ROWS), keys)
         yield from sorted(row_keys, key=lambda key: key.position)
 

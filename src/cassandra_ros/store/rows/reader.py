@@ -270,7 +270,7 @@ class _Stream:
         self._columns = piece.table.columns if columns is None else columns
         # Conditions are checked on columns, so then whole pages are not made into messages.
         self._together = columns is None and read.chooser is None
-        self._place = piece.table.place(piece.node, piece.bucket)
+        self._place = piece.table.partition_key(piece.node, piece.bucket)
         self._terms, indexed = query
         # To filter a row the server needs fewer columns than to return it. If few rows pass, only
         # their keys are requested, and then these rows.

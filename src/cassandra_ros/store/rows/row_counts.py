@@ -63,7 +63,7 @@ def _rows(
     """Yield columns, encoded, of the rows of a bucket with t in [low, high]."""
     request = table.select_range(
         columns,
-        table.place(node, bucket),
+        table.partition_key(node, bucket),
         ((low, MIN_SEQ), (high, MAX_SEQ)),
         page_rows=COUNT_PAGE_ROWS,
         what="counting",

@@ -173,7 +173,7 @@ class VerbatimCopy:
             low = (max(low[0] - source.metadata.span_ns, ALL[0][0]), low[1])
         request = source.select_range(
             self._names,
-            source.place(partition.node, partition.where),
+            source.partition_key(partition.node, partition.where),
             (low, high),
             page_rows=partition.page_rows,
             what="copying",
@@ -222,7 +222,9 @@ class VerbatimCopy:
                 self._send(partition, bucket, batch)
 
     def _place(self, partition: Part, bucket: int) -> tuple[bytes, bytes]:
-        return self._target.place(partition.node, partition.where if self._target.named else bucket)
+        return self._target.partition_key(
+            partition.node, partition.where if self._target.named else bucket
+        )
 
     def _copy_chunks(self, partition: Part, bucket: int, row: RawRow) -> bool:
         """Send the chunks of a row, if it has any; return whether the row must be sent, too."""
@@ -242,7 +244,7 @@ class VerbatimCopy:
         insert = self._target.insert_stored_chunk() if expires else self._target.insert_chunk()
         row_key = row[0] or b"", row[1] or b""
         place = self._place(partition, bucket)
-        where = source.place(partition.node, partition.where)
+        where = source.partition_key(partition.node, partition.where)
         select = bind(source.select_chunks(), (*where, *row_key), PAGE_CHUNKS)
         request, numbers = source.send(select, "copying"), set()
         for number, data in request.rows():
@@ -320,7 +322,7 @@ class VerbatimCopy:
 def row_keys(table: RowTable, node: str, bucket: int, writers: frozenset[int]) -> dict[Order, int]:
     """Return the keys of the rows, or blocks, of writers in a bucket → their write times, us."""
     names = f'{KEYS}, WRITETIME("_conn")'
-    request = table.select_range(names, table.place(node, bucket), page_rows=KEY_PAGE_ROWS)
+    request = table.select_range(names, table.partition_key(node, bucket), page_rows=KEY_PAGE_ROWS)
     keys = ((decode_long(row[0]), decode_long(row[1]), row[2]) for row in request.rows())
     return {
         (t, seq): decode_long(written)

@@ -170,7 +170,7 @@ class OpenBucket:
         self.batch = Batch()
         self.touched = self.marked = time.monotonic()
         self.changed = False
-        self._place = table.place(node, name if table.named else bucket)
+        self._place = table.partition_key(node, name if table.named else bucket)
         self._shadows = shadows
         self.filled = filled
         names = shadows.names if shadows is not None else ()

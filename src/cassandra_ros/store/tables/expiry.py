@@ -27,7 +27,7 @@ def rounded(lifetime: int, ttl: int) -> int:
 
 def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:
     """Return the maximum remaining lifetime of a bucket's rows, seconds; 0 = it has no rows."""
-    names, place = f"{KEYS}, {_LEFT}", table.place(node, bucket)
+    names, place = f"{KEYS}, {_LEFT}", table.partition_key(node, bucket)
     rows = table.select_range(names, place, page_rows=_PAGE_ROWS).rows()
     return max((decode_long(values[2]) for values in rows), default=0)
 

@@ -207,14 +207,14 @@ class RowTable:
         """Return the bucket of a key time."""
         return t_ns // self.bucket_ns
 
-    def place(self, node: str, where: int | str) -> tuple[bytes, bytes]:
+    def partition_key(self, node: str, where: int | str) -> tuple[bytes, bytes]:
         """Encode the partition key of a bucket, or of the rows with a name."""
         key = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
         return node.encode("utf-8"), key
 
-    def place_of(self, node: str, t_ns: int, name: str) -> tuple[bytes, bytes]:
+    def partition_key_of(self, node: str, t_ns: int, name: str) -> tuple[bytes, bytes]:
         """Encode the partition key of a row."""
-        return self.place(node, name if self.named else self.bucket_of(t_ns))
+        return self.partition_key(node, name if self.named else self.bucket_of(t_ns))
 
     def stored_order(self, t: int, seq: int) -> Order:
         """Return ``_t`` and ``_seq`` as stored: both 0 if equal messages are stored once."""
@@ -222,7 +222,7 @@ class RowTable:
 
     def key_of(self, row: TableRow) -> tuple[bytes, ...]:
         """Encode the primary key of a stored row."""
-        place = self.place_of(row.node, row.t, row.name)
+        place = self.partition_key_of(row.node, row.t, row.name)
         return (*place, *map(encode_long, self.stored_order(row.t, row.seq)))
 
     def shadows(self) -> Shadows | None:

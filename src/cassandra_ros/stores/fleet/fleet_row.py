@@ -125,7 +125,7 @@ class FleetRow:
         return self._copies[0][1].position._replace(table="")
 
     @property
-    def place(self) -> MessageIdentity:
+    def identity(self) -> MessageIdentity:
         """Identity of the message in all stores."""
         return (self.t, self.node, self.seq, self.name)
 

@@ -62,7 +62,7 @@ class Latest:
         """
         latest: dict[tuple[object, ...], StoredRow] = {}
         for rows in (self._last(t, since), self._latched_before(t, since, sources)):
-            latest.update(((row.topic, *row.place), row) for row in rows)
+            latest.update(((row.topic, *row.identity), row) for row in rows)
         return sorted(latest.values(), key=lambda row: row.position)
 
     def _last(self, t: int, since: int) -> Iterator[StoredRow]:

@@ -175,6 +175,6 @@ def nearest_rows(rows: Iterable[StoredRow], times: Sequence[int]) -> Iterator[St
 def _once(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
     before = None
     for row in rows:
-        if row.place != before:
+        if row.identity != before:
             yield row
-        before = row.place
+        before = row.identity

@@ -208,7 +208,10 @@ class _Check:
         if table.packed:
             names = ", ".join([WHOLE_BLOCK_COLUMNS, '"_nan"', *map(quote_name, table.zone_columns)])
         request = table.select_range(
-            names, table.place(node, bucket), page_rows=min(page, MAX_PAGE_ROWS), what="checking"
+            names,
+            table.partition_key(node, bucket),
+            page_rows=min(page, MAX_PAGE_ROWS),
+            what="checking",
         )
         for values in request.rows():
             if table.is_rest(values):
@@ -223,7 +226,8 @@ class _Check:
                 last = decode_long(values[4]) if table.packed else t
                 lost = decode_long(values[5]) if table.packed else 1
                 key = t, decode_long(values[1])
-                if rows_at(table, table.place(node, bucket), key):  # otherwise deleted meanwhile
+                # Otherwise it was deleted meanwhile.
+                if rows_at(table, table.partition_key(node, bucket), key):
                     ends = t, max(t, last)
                     self._note(DamageKind.MESSAGE, table, node, ends, lost, str(exc))
             self._tell(total)
@@ -421,7 +425,7 @@ class _Check:
                 if row is not None:
                     self._message(table, row)
             except CorruptMessage as exc:
-                place = table.place(node, key.position.name)
+                place = table.partition_key(node, key.position.name)
                 if rows_at(table, place, table.stored_order(t, key.position.seq)):
                     self._note(DamageKind.MESSAGE, table, node, (t, t), 1, str(exc))
             self._tell(len(keys))

@@ -133,7 +133,7 @@ class TableCopy:
         for row in self._reader.read(tables, read):
             if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
                 continue  # an equal message came later, into another table
-            if last is not None and row.place == last.place:
+            if last is not None and row.identity == last.identity:
                 if row.wire != last.wire:
                     raise CorruptMessage(
                         f"topic {row.topic} has two messages at {row.t} of the same writer and "
@@ -187,12 +187,12 @@ class TableCopy:
         theirs = self._rows(self._olds)
         mine, its = next(ours, None), next(theirs, None)
         while mine is not None or its is not None:
-            if mine is not None and its is not None and mine.place == its.place:
+            if mine is not None and its is not None and mine.identity == its.identity:
                 self._check_equal(mine, its)
                 mine, its = next(ours, None), next(theirs, None)
                 count += 1
                 self._tell.one()
-            elif its is not None and (mine is None or its.place < mine.place):
+            elif its is not None and (mine is None or its.identity < mine.identity):
                 self._check_expired(its)
                 its = next(theirs, None)
             elif mine is not None:
@@ -268,8 +268,8 @@ class TableCopy:
 
     def _missing(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Return the rows of old tables in a bucket that are not in the new one."""
-        places = {row.place for row in self._rows([self._new], read)}
-        return (row for row in self._rows(tables, read) if row.place not in places)
+        places = {row.identity for row in self._rows([self._new], read)}
+        return (row for row in self._rows(tables, read) if row.identity not in places)
 
     def _add(self, late: Iterator[StoredRow]) -> int:
         """Write late rows into the new table, with the headers of their connections."""
