@@ -399,7 +399,10 @@ class LocalCluster:
             self._start_node(replace(node, settings=self.settings), java, die_with_us)
 
     def _secure(self, asleep: list[Node], java: str, before: ClusterSettings | None) -> None:
-        """Make what a login needs; if that fails, the cluster keeps its earlier settings."""
+        """Make what a login needs; if that fails, the cluster keeps its earlier settings.
+
+        A new cluster has none (``before`` is None): its next start tries again to make the login.
+        """
         try:
             self.security.make_files(java)
             directories = [node.directory for node in asleep]

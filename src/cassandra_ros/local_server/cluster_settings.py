@@ -112,9 +112,9 @@ def load_settings(directory: Path) -> ClusterSettings | None:
             values = json.loads(file.read(_MAX_CHARS))
         types = {field.name: field.type for field in fields(ClusterSettings)}
         settings = ClusterSettings(**{name: values[name] for name in types if name in values})
-        for name, kind in types.items():
+        for name, kind in types.items():  # each is annotated by a single type: str, int or bool
             if type(getattr(settings, name)).__name__ != kind:
-                raise TypeError(f"{name} is no {kind}")
+                raise TypeError(f"{name} is not of type {kind}")
     except FileNotFoundError:
         if foreign:
             raise ServerError(

@@ -114,21 +114,36 @@ class History:
     ) -> None:
         self._past, self._queue, self._connected = past, queue, connected
         self._since, self._low = since, 0
+        """Function of the argument ``since``, and the receive time from which is read next, ns."""
         self._done: dict[MessageIdentity, int] = {}
+        """Rows that were yielded, or are damaged → receive time, ns."""
         self._floor, self._room = 0, ROOM
         """All yielded rows from the time _floor on, ns, are in _done; _room is its maximum size."""
         self._over: dict[_WriterStream, _Arrival] = {}
+        """Bounds at which the stored messages ended and the live ones began."""
         self._heard: dict[Publisher, Live] = {}
+        """First live messages, which may be read from the store later, too."""
         self._late_sec: list[float] = []
+        """Monotonic times at which rows are still searched that were stored late, s."""
         self._seen: dict[MessageIdentity, _StoredMark] = {}
+        """Newest rows, among which the first live messages are searched; not yielded yet."""
         self._newest = 0
+        """Receive time of the newest row that was yielded, ns."""
         self._last: dict[_WriterStream, MessageFingerprint] = {}
+        """The row of each stream that was yielded last."""
         self._counted: dict[Publisher, int] = {}
+        """Number of rows yielded from the first message on that the queue had no room for."""
         self._looked = -LOOK_SEC
+        """Monotonic time at which it was checked whether the topic is written, s."""
         self._written = self._doubtful = False
+        """Whether a writer is seen to write the topic, and whether one may."""
         self._unseen: list[Publisher] = []
+        """Publishers of which no live message was found among the rows."""
         self._found = False
+        """Whether that of another one was."""
         self._epoch, self._begun_sec, self._ready_sec = -1, -1.0, -1.0
+        """Epoch of the queue in which the bounds are searched, monotonic time of the beginning of
+        the search, and of the moment from which the search may end, s; -1 = not yet."""
         self.live = False
         """Whether all stored messages were yielded."""
         self.lost = 0
@@ -257,6 +272,7 @@ class History:
             return None
 
     def _give(self, row: StoredRow) -> Iterator[HistoryMessage]:
+        """Yield a row as a message and note it as yielded; nothing if it cannot be read."""
         wire = self._wire(row)
         if wire is None:
             return
