@@ -249,6 +249,7 @@ def test_verify_content_with_mapped_topics(call, rosCas, tmp_path):
     assert call("verify", "--content", path, "--map", "nothing")[0] == 2
 
 
+@pytest.mark.suite("test", "the options of import that choose")
 def test_parts_of_a_bag(call, bags, tmp_path):
     path = bags / "husky_gps_data.bag"
     status, out, _ = call("import", path, "--topics", "/fix", "gps", "--node-id", "husky")
@@ -269,6 +270,7 @@ def test_parts_of_a_bag(call, bags, tmp_path):
     assert len(read_with_rosbag(target)[1]) == 190
 
 
+@pytest.mark.suite("test", "each way to write a time")
 def test_times_as_rosbag_users_write_them(call, bags, tmp_path):
     path, out = bags / "husky_gps_data.bag", tmp_path / "out.bag"
     assert call("import", path, "--topics", "/fix")[0] == 0

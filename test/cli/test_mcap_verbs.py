@@ -112,6 +112,7 @@ def read(path):
         ]
 
 
+@pytest.mark.suite("test", "publish_time through the store")
 def test_when_messages_were_sent_comes_back(call, rosCas, tmp_path):
     """publish_time and sequence, of more messages than lie in one row."""
     path, out = tmp_path / "a.mcap", tmp_path / "b.mcap"

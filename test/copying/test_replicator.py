@@ -333,6 +333,7 @@ def test_a_selection_is_copied(rosCas, home):
     assert messages(home) == every
 
 
+@pytest.mark.suite("test", "a copy in another format")
 def test_formats_are_converted_on_the_way(rosCas, home):
     fill(rosCas, "ros")
     report = Replicator(rosCas, home, format="packed").copy()

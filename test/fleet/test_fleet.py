@@ -165,6 +165,7 @@ STATEMENTS = [
 ]
 
 
+@pytest.mark.suite("test", "statements over several stores")
 @search(200)
 @given(
     statement=st.sampled_from(STATEMENTS),
@@ -207,6 +208,7 @@ def test_messages_and_single_ones(mixed):
     assert fleet.topics() == ["/t0", "/t1", "/t2", "/t3"]
 
 
+@pytest.mark.suite("test", "pages of a fleet")
 def test_a_read_goes_on_after_any_row(mixed):
     """Rows of a page and of the next one are those of one read: none twice, none left out."""
     fleet, whole = mixed

@@ -182,6 +182,7 @@ def test_message_objects_go_in_and_come_out(name):
         assert serialize(again) == serialize(message)
 
 
+@pytest.mark.suite("test", "promise 1, on real bags")
 @pytest.mark.parametrize("name", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
 def test_messages_of_the_bags_are_exact(name, bags):
     large = Counter()

@@ -152,7 +152,7 @@ def test_it_is_found_without_its_pid_file(folder):
     status.node.pid_file.unlink()
     assert make(folder).status()[0].pid == status.pid
     assert make(folder).start() is False
-    status.node.pid_file.write_text(f"{status.pid}\n")
+    processes.write_start(status.node.pid_file, status.pid)
 
 
 @pytest.mark.suite("all", "it starts or kills Cassandras")
@@ -173,7 +173,7 @@ def test_what_was_acknowledged_survives_kill_9(folder):
     kill(cluster)
     assert not cluster.status()[0].pid
     # The pid in the file may belong to another process by now: ours, for example.
-    cluster.nodes[0].pid_file.write_text(f"{os.getpid()}\n")
+    cluster.nodes[0].pid_file.write_text(f"{os.getpid()} 1\n")  # which began at another time
     assert make(folder).status()[0].pid == 0
     assert make(folder).stop() is False
     assert cluster.start(die_with_us=True)

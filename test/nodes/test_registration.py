@@ -296,6 +296,7 @@ def test_a_node_goes_on_when_its_master_comes(master, cassandra, rosCas, keyspac
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(1)]
 
 
+@pytest.mark.suite("test", "-a leaves out what only the recorder publishes")
 def test_a_recorder_of_all_topics_takes_none_that_only_it_publishes(master, cassandra, keyspace):
     with start_recorder(master, cassandra, keyspace, "-a") as child:
         with RawPublisher(master.uri, "/a", header_of(String)) as one:

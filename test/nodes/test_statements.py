@@ -340,6 +340,7 @@ def test_a_statement_is_explained(read, client):
     assert not explain("delete from numbers where KEY > 0")["success"]
 
 
+@pytest.mark.suite("test", "~sql")
 def test_sql_is_answered_within_its_bounds(read, write, client):
     pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 

@@ -88,6 +88,7 @@ def is_for_statements(pid):
     return False
 
 
+@pytest.mark.suite("test", "the first statement starts the process")
 @pytest.mark.parametrize(
     "text",
     [

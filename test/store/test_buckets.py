@@ -8,7 +8,7 @@ import pytest
 
 from cassandra_ros.arguments import MAX_TTL_SEC, check_ttl
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.store.tables.directory import SECOND_NS
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.store.tables.lengths import (
     BUCKET_LENGTHS,
     MAX_BUCKET_BYTES,
