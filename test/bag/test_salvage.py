@@ -90,7 +90,7 @@ def test_a_chunk_that_ends_with_the_file_is_whole(path, chunks):
     salvaged = read(cut(path, end), chunks)
     assert (salvaged.messages, salvaged.lost_bytes) == (sum(map(len, TIMES[:chunks])), 0)
     assert salvaged.cuts == {}
-    assert salvaged.why == "has no index, for it was not closed"
+    assert salvaged.why == "has no index, because it was not closed"
 
 
 @pytest.mark.parametrize("chunks", range(1, len(TIMES) + 1))

@@ -261,7 +261,7 @@ def test_a_map_is_drawn_kept_and_shown_again(bag, store, tmp_path):
     assert lines[0].endswith("cells of 0.05 m")
     assert lines[1:] == [
         "poses: tf (map to laser)",
-        "left out: 1 message, for no pose is known at their times",
+        "left out: 1 message: no pose is known at their times",
         "written: map.png",
     ]
     with Image.open(tmp_path / "map.png") as image:

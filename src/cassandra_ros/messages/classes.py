@@ -79,7 +79,7 @@ class RawMessage(genpy.Message):
 
 
 class _GeneratedMessage(genpy.Message):
-    """The base of generated classes. Pickle sends their definition, for they lie in no module.
+    """The base of generated classes. Pickle sends their definition, because they lie in no module.
 
     Not by a metaclass: rospy publishes only classes whose type is ``type``.
     """

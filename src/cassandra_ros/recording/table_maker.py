@@ -166,7 +166,7 @@ def connect(
 def make_together(
     writer: MessageWriter, sources: Sequence[MessageSource], settings: RecordingSettings
 ) -> None:
-    """Make the tables of several sources, but for those with a key field or an index.
+    """Make the tables of several sources, except those with a key field or an index.
 
     Raises what MessageWriter.make_tables does.
     """

@@ -225,7 +225,7 @@ class Finder:
         secs, nsecs = divmod(near.t, SECOND_NS)
         return none + (
             f"; one lies {abs(near.t - t)} ns away: write the time as "
-            f"{{secs: {secs}, nsecs: {nsecs}}}, for a number goes through a float"
+            f"{{secs: {secs}, nsecs: {nsecs}}}: a number goes through a float"
         )
 
     @property

@@ -280,11 +280,11 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
         lines.append(f"--odom takes another topic of poses: {topics}")
     without = counted(made.without_pose, "message")
     if made.without_pose:
-        lines.append(f"left out: {without}, for no pose is known at their times")
+        lines.append(f"left out: {without}: no pose is known at their times")
     if made.unreadable:
         lines.append(f"left out: {counted(made.unreadable, 'message')} that cannot be read")
     if made.received:
-        text = "by their reception, for nothing that was recorded has the stamps of their headers"
+        text = "by their reception: nothing that was recorded has the stamps of their headers"
         lines.append(f"placed {text}: {counted(made.received, 'message')}")
     if files:
         lines.append(f"written: {', '.join(files)}")

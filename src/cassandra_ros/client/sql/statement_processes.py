@@ -270,7 +270,7 @@ class StatementProcesses:
     def _frames(
         self, process: _Process, statement: Statement, watch: Watch
     ) -> Iterator[tuple[bytes, bytes]]:
-        """Yield the frames of an answer but for an error, which is raised."""
+        """Yield the frames of an answer, except an error, which is raised."""
         try:
             for kind, content in process.ask(_values(statement), watch):
                 if kind in (ERROR, FATAL):

@@ -438,7 +438,7 @@ class _Scan:
                 self.salvaged.add(damage.why, end - damage.at)
                 self.file.seek(end)
         if not self.salvaged.why:
-            self.salvaged.add("has no index, for it was not closed")
+            self.salvaged.add("has no index, because it was not closed")
 
     def _read_connections(self) -> None:
         """Read the connections in the index, if there is one: a chunk has only those new in it."""

@@ -75,7 +75,7 @@ def export_fleet(
     first = list(islice(rows, 1))
     if not first:
         raise MessageNotFound(
-            f"{report.path} is not written, for no store that answers has such a message"
+            f"{report.path} is not written: no store that answers has such a message"
             f"{'; missing: ' + ', '.join(rows.missing) if rows.partial else ''}"
         )
     with make_file(path, compression) as writer:

@@ -98,7 +98,7 @@ _NEEDS = {
 _LEAST = ("ANY", "ONE", "LOCAL_ONE")
 _READ_ANYWAY = (
     ", or read with consistency='ONE' (programs: --consistency ONE) the rows of which a node that "
-    "answers has a copy; with a copy on each node these are all, but for the last that it missed"
+    "answers has a copy; with a copy on each node these are all, except the last that it missed"
 )
 """Remedy of a read for which too few nodes answer."""
 
