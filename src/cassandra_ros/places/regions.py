@@ -110,7 +110,7 @@ class Polygon:
                 f"a polygon has 3 to {MAX_CORNERS} corners, not {len(corners)}: give x,y;x,y;x,y"
             )
         if not all(math.isfinite(number) for corner in corners for number in corner):
-            raise InvalidOption("the corners of a polygon are finite numbers of metres")
+            raise InvalidOption("a corner of a polygon is infinite or NaN: give numbers of metres")
         self._corners = list(corners)
         self._sides = list(zip(self._corners, self._corners[1:] + self._corners[:1]))
 

@@ -318,12 +318,12 @@ class Findings:
     def __init__(self, text: str) -> None:
         self._text = text
         self.wrong: dict[int, StatementError] = {}
-        self.fine: set[int] = set()
+        self.valid: set[int] = set()
 
     def check(self) -> None:
         """Raise InvalidQuery for the first position that is an error in all tables."""
         for position, problem in sorted(self.wrong.items()):
-            if position not in self.fine:
+            if position not in self.valid:
                 raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
@@ -400,7 +400,7 @@ class NameResolver:
             problem = StatementError(operand.position, reason + "min, max and count take any field")
             self._findings.wrong.setdefault(aggregate.position, problem)
             return []
-        self._findings.fine.add(aggregate.position)
+        self._findings.valid.add(aggregate.position)
         if function in ("min", "max"):
             return [column._replace(name=name)]
         total = "float64" if column.kind.startswith("float") else INTEGER
@@ -437,7 +437,7 @@ class NameResolver:
             self._findings.wrong.setdefault(exc.position, exc)
             computed = None
         if computed is not None:
-            self._findings.fine.update(part.position for part in inside(term))
+            self._findings.valid.update(part.position for part in inside(term))
         else:
             self._note_valid_parts(term)
         return computed
@@ -542,7 +542,7 @@ class NameResolver:
         """Return whether values of two kinds can be compared; record an error if not."""
         mark = (left.position + 1) << _PAIR | right.position
         if family(kind) == family(other):
-            self._findings.fine.add(mark)
+            self._findings.valid.add(mark)
             return True
         reason = f"{left.text} is {kind_name(kind)} and {right.text} {kind_name(other)}"
         problem = StatementError(position, f"{reason}: they cannot be compared")
@@ -574,7 +574,7 @@ class NameResolver:
         except StatementError as exc:
             self._findings.wrong.setdefault(literal.position, exc)
             return None
-        self._findings.fine.add(literal.position)
+        self._findings.valid.add(literal.position)
         return value
 
     def _resolve(
@@ -588,7 +588,7 @@ class NameResolver:
         except StatementError as exc:
             self._findings.wrong.setdefault(path.position, exc)
             return ()
-        self._findings.fine.add(path.position)
+        self._findings.valid.add(path.position)
         return refs
 
     def _unnest_inside(self, path: FieldPath, refs: Sequence[FieldRef]) -> None:

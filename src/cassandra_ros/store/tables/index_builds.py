@@ -139,18 +139,17 @@ class IndexBuilds:
         Raises:
             StoreUnavailable: It failed, and failed again when it was repeated.
         """
+        what = f"dropping an index of table {self._table}"
+        cql = f"DROP INDEX IF EXISTS {qualified(self._keyspace, index)}"
         try:
-            self._drop(index)
-        except StoreUnavailable:
-            # On a busy machine Cassandra 5.0.8 may fail by a null pointer of its own.
+            self._lock.change(cql, what=what)
+        except StoreUnavailable as exc:
+            # On a busy machine Cassandra 5.0.8 may fail by a null pointer of its own, before or
+            # after the index was dropped.
+            _log.info("index %s is dropped again if it is still there: %s", index, exc)
+            self._cassandra.await_same_schema(what)
             if index in self.indexes():
-                self._drop(index)
-
-    def _drop(self, index: str) -> None:
-        self._lock.change(
-            f"DROP INDEX IF EXISTS {qualified(self._keyspace, index)}",
-            what=f"dropping an index of table {self._table}",
-        )
+                self._lock.change(cql, what=what)
 
     def await_builds(self, names: AbstractSet[str], seconds: float) -> None:
         """Wait until each node has begun the last of the table's indexes, or has built them all."""
