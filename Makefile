@@ -101,6 +101,7 @@ lint: setup doc
 
 doc: setup
 	@$(if $(SCREENSHOTS),$(IN_WORKSPACE) $(VENV_PYTHON) examples/screenshots.py $(ARGS))
+	@$(IN_WORKSPACE) PYTHONPATH=src:$$PYTHONPATH $(VENV_PYTHON) doc/option_tables.py
 	@$(IN_WORKSPACE) $(VENV_PYTHON) -m sphinx -q -W --keep-going -d build/doctrees doc build/doc
 	@echo "doc: build/doc/index.html"
 

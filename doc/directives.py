@@ -18,6 +18,8 @@ from typing import Iterator, NamedTuple, Sequence
 from docutils import nodes
 from docutils.parsers.rst import Directive
 
+from cassandra_ros.cli.parameters import actions_by_parameter
+
 ROOT = Path(__file__).resolve().parent.parent
 _COMMENT = re.compile(r"\s+#\s*")
 
@@ -204,18 +206,17 @@ class LaunchArguments(_Shown):
 
 
 class NodeParameters(_Shown):
-    """The private parameters of the recorder, which are its options."""
+    """The private parameters of a node, which are the options of its program."""
 
     def run(self) -> list[nodes.Node]:
         """Return a table of parameters and options."""
         module = importlib.import_module(f"cassandra_ros.cli.{self.arguments[0]}")
         self.depends_on(Path(str(module.__file__)))
-        # As words_of reads them.
-        names = {"output_name": "name", "labels": "label"}
+        actions = actions_by_parameter(module.make_parser())
+        last = {action: name for name, action in actions.items()}
         rows = [
-            ("~" + names.get(action.dest, action.dest), ", ".join(action.option_strings) or "TOPIC")
-            for action in module.make_parser()._actions
-            if action.dest not in module._NO_PARAMETERS
+            (f"~{name}", ", ".join(action.option_strings) or "TOPIC")
+            for action, name in last.items()
         ]
         return [table(("parameter", "as the option"), rows, code=2)]
 

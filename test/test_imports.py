@@ -24,6 +24,9 @@ GROUND = {
     "installation",
     "read",
     "own_files",
+    "option",
+    "quantities",
+    "shared_options",
 }
 
 # The rooms, lowest first; a room imports no room that comes after it.
@@ -51,6 +54,9 @@ BELOW = {
     "read": {"keys"},
     "installation": {"errors"},
     "own_files": set(),
+    "option": set(),
+    "quantities": {"errors"},
+    "shared_options": {"arguments", "metadata", "option", "quantities"},
     "messages": set(),
     "messages/formats": {"messages"},
     "store/connection": set(),

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -56,18 +58,26 @@ def test_every_option_has_a_row(name, ros_env):
 
 @pytest.mark.parametrize(("name", "program"), [("play", "player"), ("record", "recorder")])
 def test_every_option_has_a_test_that_exists(name, program):
-    known, tests = {}, {}
+    known, tested = {}, set()
     for line in TESTS.read_text(encoding="utf-8").splitlines():
         if line.startswith(f"| {program} | "):
             _, options, test = line.strip("| ").split(" | ")
-            tests[frozenset(re.findall(r"`(-[^`]*)`", options))] = test
-    for options, _, what in rows(name):
-        assert what, options
-        named = re.findall(r"`([\w/]+\.py)::(\w+)`", tests.pop(frozenset(options)))
-        assert named, options
-        for path, function in named:
-            if path not in known:
-                tree = ast.parse((ROOT / "test" / path).read_text(encoding="utf-8"))
-                known[path] = {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}
-            assert function in known[path], (options, path, function)
-    assert not tests
+            tested.update(re.findall(r"`(-[^`]*)`", options))
+            named = re.findall(r"`([\w/]+\.py)::(\w+)`", test)
+            assert named, options
+            for path, function in named:
+                if path not in known:
+                    tree = ast.parse((ROOT / "test" / path).read_text(encoding="utf-8"))
+                    known[path] = {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}
+                assert function in known[path], (options, path, function)
+    assert tested == {option for options, _, what in rows(name) for option in options if what}
+
+
+def test_pages_and_launch_files_have_the_options_of_the_parsers(monkeypatch):
+    for name in [name for name in os.environ if name.startswith("CASSANDRA_ROS_")]:
+        monkeypatch.delenv(name)
+    spec = importlib.util.spec_from_file_location("option_tables", ROOT / "doc/option_tables.py")
+    option_tables = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(option_tables)
+    for path, text in option_tables.texts().items():
+        assert path.read_text(encoding="utf-8") == text, f"{path.name}: run make doc"

@@ -13,7 +13,6 @@ from hostile.inputs import GROWTH_MB, INPUT_SEC
 
 from cassandra_ros import own_files
 from cassandra_ros.cli import viewer
-from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.recorder import make_parser
 from cassandra_ros.client.sql import (
     duck_database,
@@ -29,8 +28,7 @@ from cassandra_ros.local_server import LocalCluster, cluster_settings, ports, pr
 from cassandra_ros.local_server.cluster_settings import ClusterSettings
 from cassandra_ros.messages import definition, shape
 from cassandra_ros.nodes import history_subscriber, query_node, ros_node, subscription
-from cassandra_ros.query.rows import answer_bound
-from cassandra_ros.query.tree import parse
+from cassandra_ros.query.tree import json_values, parse
 from cassandra_ros.recording import place_keeper, recording, topic_settings
 from cassandra_ros.viewing import security, viewer_server, viewer_settings
 
@@ -52,7 +50,7 @@ FIGURES = [
     mib(history_subscriber.DEFAULT_BUFFER_BYTES),
     mib(query_node.MAX_REPLY_BYTES),
     mib(query_node.YAML_BYTES),
-    mib(answer_bound.MAX_ANSWER_BYTES),
+    mib(json_values.MAX_ANSWER_BYTES),
     mib(parse.MAX_STATEMENT),
     f"{sql_statement.MAX_STATEMENT_CHARACTERS >> 10} KiB",
     duck_database.MEMORY,
@@ -98,7 +96,7 @@ LEAST_HEAP, MOST_HEAP = cluster_settings.OWN_HEAP_MB
 PROMISES = [
     f"{LEAST_HEAP} MiB to {MOST_HEAP >> 10} GiB (`--heap`), "
     f"about {cluster_settings.BESIDE_HEAP_MB} MiB beside it",
-    f"has less than {byte_size(make_parser().get_default('min_space')) >> 30} GiB free",
+    f"has less than {make_parser().get_default('min_space') >> 30} GiB free",
     f"takes more than {INPUT_SEC:g} s of processor time",
     f"makes the process grow by {GROWTH_MB} MB",
     f"is waited for at most {processes.LOCK_SEC:g} s; "

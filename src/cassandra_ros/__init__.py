@@ -22,7 +22,7 @@ _PUBLIC = {
     "PlaySelection": "cassandra_ros.playing.play_selection",
     "PoseChoice": "cassandra_ros.viewing.mapping.sensor_poses",
     "Recorder": "cassandra_ros.nodes.recorder",
-    "RecorderOptions": "cassandra_ros.recording.recording_options",
+    "RecorderOptions": "cassandra_ros.recording.recorder_options",
     "Replicator": "cassandra_ros.stores.copying.replicator",
     "RosCassandra": "cassandra_ros.client.ros_cassandra",
     "CassandraTopic_": "cassandra_ros.messages.formats.cassandra_topic_",

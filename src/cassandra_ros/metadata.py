@@ -24,6 +24,8 @@ SIDE_COMMENT = json.dumps({_SIDE: {"version": SCHEMA_VERSION}})
 """Comment of a side table."""
 FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
 """Names of all storage formats; each is a file in messages/formats/."""
+DEFAULT_FORMAT = "ros"
+"""Storage format of new topics."""
 MAX_LIFETIME_SEC = 20 * 365 * 86_400
 """Maximum time to live that Cassandra accepts, s."""
 ANY_MD5 = "*"

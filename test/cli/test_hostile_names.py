@@ -17,7 +17,7 @@ from cassandra_ros.errors import InvalidName, InvalidOption
 from cassandra_ros.printable import MOST_CHARACTERS, shown, shown_lines
 from cassandra_ros.recording.losses import LossTotal
 from cassandra_ros.recording.option_values import read_label
-from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.topic_counts import TopicReport
 from cassandra_ros.store.tables.registry import LossKind, Run

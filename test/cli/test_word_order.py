@@ -18,6 +18,7 @@ from cassandra_ros.cli import (
     viewer,
 )
 from cassandra_ros.cli.completion import PrintCompletion
+from cassandra_ros.cli.parameters import parameter_words
 
 PROGRAMS = {
     module.__name__.rpartition(".")[2]: module
@@ -163,7 +164,8 @@ def test_parameters_of_a_node_are_no_second_value():
     parser = recorder.make_parser()
     parameters = {"keyspace": "a", "ttl": "1h", "exclude": ["/c", "/d"], "label": "x=1"}
     line = ["/t", "--keyspace", "b", "-x", "/e"]
-    words = recorder.words_of(parser, parameters, parser.parse_args(line))
+    parser.parse_args(line)
+    words = parameter_words(parser, parameters)
     options = parser.parse_args([*words, *line])
     assert (options.keyspace, options.ttl, options.labels) == ("b", 3600, [("x", "1")])
     assert options.exclude == ["/c", "/d", "/e"]

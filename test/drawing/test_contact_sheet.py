@@ -9,8 +9,13 @@ import pytest
 from PIL import Image, ImageFont
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.viewing.drawing.contact_sheet import CaptionedPicture, draw_sheet, fitted
-from cassandra_ros.viewing.drawing.picture_file import check_picture_path, save_picture
+from cassandra_ros.viewing.drawing.contact_sheet import (
+    CaptionedPicture,
+    check_picture_path,
+    draw_sheet,
+    fitted,
+    save_picture,
+)
 
 COLOURS = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (9, 9, 9), (250, 250, 0)]
 

@@ -29,8 +29,8 @@ from cassandra_ros.messages.classes import (
 )
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, format_class
-from cassandra_ros.metadata import FORMAT_NAMES
+from cassandra_ros.messages.formats.table import format_class
+from cassandra_ros.metadata import DEFAULT_FORMAT, FORMAT_NAMES
 
 SEEDS = st.integers(0, 2**32)
 every_format = pytest.mark.parametrize("name", FORMAT_NAMES)

@@ -19,10 +19,9 @@ from suites import search
 
 from cassandra_ros.errors import CorruptMessage, InvalidName, InvalidOption
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.viewing.drawing.map_picture import map_png
 from cassandra_ros.viewing.mapping.beams import beams_of_cloud, beams_of_echoes, beams_of_scan
 from cassandra_ros.viewing.mapping.grid import LogOddsGrid
-from cassandra_ros.viewing.mapping.map_files import save_map
+from cassandra_ros.viewing.mapping.map_files import map_png, save_map
 from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
 
 INF, NAN = math.inf, math.nan

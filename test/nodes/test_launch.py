@@ -12,10 +12,8 @@ import struct
 import subprocess
 import time
 import urllib.request
-import xml.etree.ElementTree as ElementTree
 import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 from nodes.children import Child, await_true, start_client
@@ -25,39 +23,8 @@ from std_msgs.msg import String, UInt32
 from suites import sparing
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.cli import player, recorder
 from cassandra_ros.local_server import free_port
 from cassandra_ros.messages.connection_header import live_connection
-
-LAUNCH = Path(__file__).resolve().parents[2] / "launch"
-# What a launch file says in another way: output, and programs that end at once.
-NO_ARGUMENTS = {"help", "help_all", "version", "dry_run", "udp"}
-
-
-def arguments_of(name):
-    """Names of the arguments that a caller may give."""
-    root = ElementTree.parse(LAUNCH / name).getroot()  # noqa: S314 (our own file)
-    return {arg.get("name") for arg in root.findall("arg") if arg.get("default") is not None}
-
-
-def options_of(parser):
-    return {action.dest for action in parser._actions} - NO_ARGUMENTS
-
-
-def test_play_launch_has_an_argument_for_every_option():
-    options = options_of(player.make_parser()) - {"more"}  # --topics: the same as topics
-    # --align-nodes is another value of align_start.
-    assert arguments_of("play.launch") == options | {"required", "align_nodes"}
-
-
-def test_cassandra_ros_launch_has_an_argument_for_every_option_of_the_recorder():
-    options = options_of(recorder.make_parser()) - {"quiet"}
-    renamed = {"output_name": "name", "labels": "label"}
-    wanted = {renamed.get(name, name) for name in options}
-    others = {"local", "dir", "nodes", "heap", "secure", "record", "allow_writes"}
-    others |= {"viewer", "viewer_host", "viewer_port"}
-    others |= {"copy_to", "copy_cqlshrc", "copy_rate", "copy_rules"}
-    assert arguments_of("cassandra_ros.launch") == wanted | others
 
 
 @pytest.fixture

@@ -19,7 +19,8 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, String
 
-from cassandra_ros.cli.recorder import make_parser, read_options, words_of
+from cassandra_ros.cli.parameters import parameter_words
+from cassandra_ros.cli.recorder import make_parser, read_options
 from cassandra_ros.nodes.recorder_services import OTHER_SERVICES, TOPIC_SERVICES
 from cassandra_ros.store.tables.registry import LossKind
 
@@ -275,14 +276,18 @@ def test_no_services(roscore, recorder, rosCas):
 def test_parameters_as_words(capsys):
     parser = make_parser()
 
-    def words(parameters, *given):
-        return words_of(parser, parameters, parser.parse_args(given))
+    def words(parameters, *given, without=()):
+        parser.parse_args(given)
+        return parameter_words(parser, parameters, without)
 
     assert words({"topics": "/a /b", "split": True, "all": False}) == ["/a", "/b", "--split"]
     assert words({"topics": "-a", "diagnostics": False}) == ["--all", "--no-diagnostics"]
     assert words({"topics": "-a", "diagnostics": True, "places": False}) == ["--all", "--no-places"]
     # Topics of the command line take the place of those of the parameters.
-    assert words({"topics": ["/a"], "all": True, "ttl": 5}, "/c") == ["--ttl=5"]
+    parameters = {"topics": ["/a"], "all": True, "ttl": 5}
+    assert words(parameters, "/c", without=("topics", "all")) == ["--ttl=5"]
+    # Nodes in a namespace of the node's name.
+    assert words({"ttl": 5, "camera": {"rate": 30}}) == ["--ttl=5"]
     assert words({"topics": "-a", "no_services": True}) == ["--all", "--no-services"]
     assert words({"topics": "-a", "no_services": False}) == ["--all"]
     assert words({"format": "", "labels": ["a=1", "b=2"]}) == ["--label=a=1", "--label=b=2"]

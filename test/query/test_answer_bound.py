@@ -24,7 +24,7 @@ from nodes.children import Child, start_client, start_node
 from std_msgs.msg import String, UInt8MultiArray
 
 from cassandra_ros.errors import AnswerTooLarge
-from cassandra_ros.query.rows.answer_bound import MAX_ANSWER_BYTES, AnswerBound, least_bytes
+from cassandra_ros.query.tree.json_values import MAX_ANSWER_BYTES, AnswerBound, least_bytes
 
 MB = 2**20
 T0 = 1_500_000_000 * 10**9

@@ -19,8 +19,8 @@ from cassandra_ros.recording import event_writer
 from cassandra_ros.recording.event_marks import EventMarks, EventWatch, WatchedEvent
 from cassandra_ros.recording.event_writer import EventWriter
 from cassandra_ros.recording.filters import Filters
-from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.topic_settings import read_events, read_settings
+from cassandra_ros.recording.recorder_options import RecorderOptions
+from cassandra_ros.recording.topic_settings import read_settings, recording_settings
 
 SEC = 10**9
 TEXT = """
@@ -70,9 +70,12 @@ def test_an_event_ends_when_the_clock_is_set_back(holds):
 
 
 def test_the_settings_name_events_that_see_each_message_before_its_filter():
-    options = RecorderOptions(config=read_settings(TEXT), events=read_events(TEXT), node_id="h")
+    options = RecorderOptions(config=read_settings(TEXT), node_id="h")
     put = []
-    filters, header = Filters(options.settings, "h", put.append, lambda: 3), header_of(Int32)
+    filters, header = (
+        Filters(recording_settings(options), "h", put.append, lambda: 3),
+        header_of(Int32),
+    )
     came = [(0, 1), (100, 6), (200, 7), (1900, 1), (2300, 9), (5000, 0), (5100, 8)]
     kept = [n for ms, n in came if filters.passes("/n", header, ms * 10**6, message(Int32(n)))]
     assert len(kept) < len(came)
@@ -82,13 +85,14 @@ def test_the_settings_name_events_that_see_each_message_before_its_filter():
     assert put[0].labels == {"site": "lab"} and put[0].end_ns is None
     # A topic without an event, or a filter, costs nothing.
     assert filters.of("/else") is None
-    assert Filters(options.settings, "h").passes("/n", header, 0, message(Int32(9)))
+    assert Filters(recording_settings(options), "h").passes("/n", header, 0, message(Int32(9)))
 
 
 def test_the_example_names_events():
     text = (ROOT / "config/recorder.yaml").read_text(encoding="utf-8")
-    assert [event.name for event in read_events(text)] == ["bump", "battery low"]
-    assert read_events("") == read_events("topics: []") == []
+    assert [event.name for event in read_settings(text).events] == ["bump", "battery low"]
+    assert read_settings("").events == []
+    assert read_settings("topics: []").events == []
 
 
 @pytest.mark.parametrize(
@@ -108,14 +112,16 @@ def test_the_example_names_events():
 )
 def test_what_is_wrong_with_an_event_is_named(text, said):
     with pytest.raises(InvalidOption, match="my.yaml cannot be used") as caught:
-        read_events(text, "my.yaml")
+        read_settings(text, "my.yaml")
     assert said in str(caught.value)
 
 
 def test_a_condition_that_cannot_be_checked_begins_no_event(caplog):
     text = "events: [{name: e, topic: /n, where: nothing > 5}]"
     put = []
-    filters = Filters(RecorderOptions(events=read_events(text)).settings, put=put.append)
+    filters = Filters(
+        recording_settings(RecorderOptions(config=read_settings(text))), put=put.append
+    )
     assert filters.passes("/n", header_of(Int32), 0, message(Int32(9)))
     assert put == []
     assert "event e does not begin by topic /n" in caplog.text

@@ -19,7 +19,7 @@ from cassandra_ros.cli.recorder import local_space
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording import run_series as series_module
 from cassandra_ros.recording.option_values import SnapshotBound
-from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.run_series import RunSeries, SpaceGuard
 from cassandra_ros.recording.snapshot import ITEM_BYTES, MessageRing, Snapshots
 from cassandra_ros.store.tables.registry import LossKind

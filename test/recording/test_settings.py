@@ -17,20 +17,25 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording.dry_run import plan_topics
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.option_values import SnapshotBound, read_bound
+from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings, read_settings
+from cassandra_ros.recording.topic_settings import (
+    RecordingSettings,
+    TopicSettings,
+    read_settings,
+    recording_settings,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
 
 
 def settings_of(text, **options):
-    return RecorderOptions(config=read_settings(text), **options).settings
+    return recording_settings(RecorderOptions(config=read_settings(text), **options))
 
 
 def test_the_example():
-    rules = read_settings((ROOT / "config/recorder.yaml").read_text(encoding="utf-8"))
+    rules, _ = read_settings((ROOT / "config/recorder.yaml").read_text(encoding="utf-8"))
     of = RecordingSettings(TopicSettings("json", 60), [rules]).of
     camera = TopicSettings("binary", 86400, 5.0)
     assert of("/front/image_raw") == of("/lidar/points/filtered") == camera
@@ -46,7 +51,7 @@ def test_the_first_that_matches_holds_and_options_go_before_the_file():
     assert found.of("/ab") == TopicSettings(None, 5, 2.0)
     assert found.of("/b") == TopicSettings(None, 0, 9.0)
     assert found.of("/x").where == "data > 1"
-    assert read_settings("") == read_settings("topics:\n") == []
+    assert read_settings("") == read_settings("topics:\n") == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -88,7 +93,7 @@ def passed(filters, times, topic="/t", header=None, wire=b""):
 
 
 def test_a_rate_is_kept_also_where_messages_jitter():
-    filters = Filters(RecorderOptions(rate_limit=[("/t", 5.0)]).settings)
+    filters = Filters(recording_settings(RecorderOptions(rate_limit=[("/t", 5.0)])))
     jitter = [n * SEC // 10 + (n * 7919 % 40 - 20) * 10**6 for n in range(10, 1010)]
     kept = passed(filters, jitter)
     assert 498 <= len(kept) <= 502
@@ -100,7 +105,7 @@ def test_a_rate_is_kept_also_where_messages_jitter():
 @pytest.mark.parametrize("pause_sec", [1, 10, 1000])
 def test_after_a_pause_no_burst_is_recorded(pause_sec):
     """What was not sent in the pause is not made up for: one message more, and the rate holds."""
-    filters = Filters(RecorderOptions(rate_limit=[("/t", 1.0)]).settings)
+    filters = Filters(recording_settings(RecorderOptions(rate_limit=[("/t", 1.0)])))
     early = [SEC * n // 10 for n in range(50)]
     late = [early[-1] + pause_sec * SEC + SEC * n // 10 for n in range(1, 51)]
     assert len(passed(filters, early)) == 5
@@ -110,7 +115,7 @@ def test_after_a_pause_no_burst_is_recorded(pause_sec):
 
 
 def test_a_condition_is_that_of_the_query_language():
-    filters = Filters(RecorderOptions(where=[("/n", "data > 5 and data != 7")]).settings)
+    filters = Filters(recording_settings(RecorderOptions(where=[("/n", "data > 5 and data != 7")])))
     header = header_of(Int32)
     wires = {n: message(Int32(n)) for n in range(10)}
     assert [n for n in wires if filters.passes("/n", header, 0, wires[n])] == [6, 8, 9]
@@ -120,7 +125,7 @@ def test_a_condition_is_that_of_the_query_language():
 
 def test_what_the_condition_leaves_out_does_not_count_for_the_rate():
     options = RecorderOptions(where=[("/n", "data > 5")], rate_limit=[("/n", 1.0)])
-    filters, header = Filters(options.settings), header_of(Int32)
+    filters, header = Filters(recording_settings(options)), header_of(Int32)
     came = [(0, 1), (100, 8), (200, 9), (1150, 2), (1200, 7), (1300, 6)]  # ms, data
     kept = [
         n for ms, n in came if filters.passes("/n", header, SEC + ms * 10**6, message(Int32(n)))
@@ -130,7 +135,7 @@ def test_what_the_condition_leaves_out_does_not_count_for_the_rate():
 
 def test_left_out_is_counted_and_not_lost(rosCas):
     options = RecorderOptions(where=[("/n", "data >= 3")])
-    recorder = Recording(rosCas.catalog, settings=options.settings, limit=2)
+    recorder = Recording(rosCas.catalog, settings=recording_settings(options), limit=2)
     for n in range(10):
         recorder.received("/n", header_of(Int32), message(Int32(n)))
     (report,) = recorder.close()
@@ -140,7 +145,7 @@ def test_left_out_is_counted_and_not_lost(rosCas):
 
 def test_a_condition_on_a_field_that_is_not_there(rosCas, caplog):
     recorder = Recording(
-        rosCas.catalog, settings=RecorderOptions(where=[("/n", "date > 3")]).settings
+        rosCas.catalog, settings=recording_settings(RecorderOptions(where=[("/n", "date > 3")]))
     )
     recorder.received("/n", header_of(Int32), message(Int32(1)))
     (report,) = recorder.close()
@@ -211,7 +216,7 @@ def test_a_plan_checks_conditions_against_the_fields_of_known_types(rosCas, msg_
 
 def test_a_plan_checks_conditions_on_a_topic_that_is_stored_and_not_published(rosCas):
     rosCas.addTopic("/n").addData(Int32(1))
-    settings = RecorderOptions(where=[("/n", "date > 3")]).settings
+    settings = recording_settings(RecorderOptions(where=[("/n", "date > 3")]))
     (planned,) = plan_topics(rosCas.catalog, settings, {"/n": ""})
     assert "/n" in planned.problem
     assert "did you mean data?" in planned.problem

@@ -29,9 +29,9 @@ from cassandra_ros.files.spool.spool_folder import RunFolder, SpoolFolder
 from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording import spool_drain
-from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.left_runs import lines_of
 from cassandra_ros.recording.message_buffer import LONGEST_BUCKET_NS
+from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.spool_drain import Drain, read_left
 from cassandra_ros.recording.topic_settings import RecordingSettings, settings_as_json

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from cassandra_ros.cli import studio_offer, viewer
+from cassandra_ros.cli import viewer
 from cassandra_ros.errors import DownloadFailed
 from cassandra_ros.viewing import npm_registry, studio
 
@@ -240,25 +240,25 @@ def test_only_who_has_a_terminal_for_itself_is_asked(whose, reads, tmp_path):
 
 def test_a_person_is_asked_once_at_the_first_start(registry, capsys, monkeypatch):
     folder = studio.studio_folder()
-    monkeypatch.setattr(studio_offer, "person_reads", lambda: sys.stdin.isatty())
+    monkeypatch.setattr(viewer, "person_reads", lambda: sys.stdin.isatty())
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    studio_offer.offer("viewer", folder)
+    viewer.offer_studio("viewer", folder)
     assert "--install-studio" in capsys.readouterr().err  # no terminal to ask on
     monkeypatch.setattr("sys.stdin", Terminal("n\n"))
-    studio_offer.offer("viewer", folder)
+    viewer.offer_studio("viewer", folder)
     assert "[y/N]" in capsys.readouterr().err
-    studio_offer.offer("viewer", folder)
+    viewer.offer_studio("viewer", folder)
     told = capsys.readouterr().err
     assert "[y/N]" not in told
     assert "--install-studio" in told
     (folder.parent / "declined").unlink()
     registry.broken = [None] * 4
     monkeypatch.setattr("sys.stdin", Terminal("y\n"))
-    studio_offer.offer("viewer", folder)  # the viewer starts nevertheless
+    viewer.offer_studio("viewer", folder)  # the viewer starts nevertheless
     assert "could not be fetched" in capsys.readouterr().err
     monkeypatch.setattr("sys.stdin", Terminal("y\n"))
-    studio_offer.offer("viewer", folder)
+    viewer.offer_studio("viewer", folder)
     assert studio.studio_installed(folder)
     capsys.readouterr()
-    studio_offer.offer("viewer", folder)
+    viewer.offer_studio("viewer", folder)
     assert capsys.readouterr().err == ""

@@ -33,11 +33,9 @@ from typing import (
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.far_times import check_times, read_time
 from cassandra_ros.cli.parsers import Rare
-from cassandra_ros.cli.readers import exact_seconds
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, TlsMismatch
-from cassandra_ros.messages.formats.table import DEFAULT_FORMAT
-from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown, shown_lines
+from cassandra_ros.quantities import exact_seconds
 from cassandra_ros.store.connection.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
@@ -72,18 +70,6 @@ _MOST_TABLES = 5
 _OWN_SIGNS = ("--map", "--where", "--around", "--keep", "--event")
 """Options whose values may contain ``:=``."""
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
-
-
-def add_format_option(parser: argparse._ActionsContainer) -> None:
-    """Add --format. Its value is None if it is missing or empty (launch files pass empty ones)."""
-    parser.add_argument(
-        "--format",
-        metavar="F",
-        type=lambda text: text or None,
-        help=f"storage format: {', '.join(FORMAT_NAMES)} (default: the format that a topic has, "
-        f"for new topics {DEFAULT_FORMAT}). A topic that is stored in another format gets a second "
-        "table; 'cassandra_bag convert' changes the format of what is stored",
-    )
 
 
 def add_large_chunks_option(parser: argparse._ActionsContainer) -> None:
@@ -186,18 +172,15 @@ def _add_login_options(add: Callable[..., object]) -> None:
 
 
 def read_seconds(text: str) -> float:
-    """Parse a number of seconds, at least 0, for argparse."""
+    """Read a number of seconds, at least 0."""
     if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]*)?", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds, like 30 or 2.5")
+        raise InvalidOption(f"{text!r} is not a number of seconds, like 30 or 2.5")
     return float(text)
 
 
 def read_port(text: str) -> int:
-    """Parse a TCP port, for argparse."""
-    try:
-        return port_number(text or "nothing")
-    except InvalidOption as exc:
-        raise argparse.ArgumentTypeError(str(exc)) from exc
+    """Read a TCP port."""
+    return port_number(text or "nothing")
 
 
 def store_place(options: argparse.Namespace) -> tuple[list[str], int]:
@@ -473,10 +456,10 @@ def add_where_option(parser: argparse.ArgumentParser | argparse._ArgumentGroup) 
 
 
 def read_pair(text: str, sign: str, form: str) -> tuple[str, str]:
-    """Parse two texts with a separator between them, for argparse."""
+    """Read two texts with a separator between them."""
     left, _, right = (word.strip() for word in text.partition(sign))
     if not (left and right):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form {form}")
+        raise InvalidOption(f"{text!r} is not of the form {form}")
     return left, right
 
 

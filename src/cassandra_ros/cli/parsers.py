@@ -24,8 +24,10 @@ from typing import (
     TypeVar,
 )
 
+from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.installation import shipped_file
 from cassandra_ros.metadata import SCHEMA_VERSION
+from cassandra_ros.option import FIRST_GROUP, Option, OptionGroup, declared_options
 from cassandra_ros.printable import shown_lines
 
 ASKED = "_ARGCOMPLETE"
@@ -151,6 +153,16 @@ class Parser(argparse.ArgumentParser):
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
         return options
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> object:
+        """Return the value of a word; errors of this package are wrong usage."""
+        read: Callable[[str], object] = self._registry_get("type", action.type, action.type)
+        try:
+            return read(arg_string)
+        except CassandraRosError as exc:
+            raise argparse.ArgumentError(action, str(exc)) from exc
+        except (argparse.ArgumentTypeError, TypeError, ValueError):
+            return super()._get_value(action, arg_string)  # it says what is wrong
+
     def _positionals_last(self, words: Sequence[str]) -> list[str]:
         """Return the words in the order that argparse needs; report words that are not options."""
         end = words.index("--") if "--" in words else len(words)
@@ -274,6 +286,48 @@ def _refuse_second(parser: Parser, action: argparse.Action, option: str) -> None
     if first is not None:
         parser.error(f"{first} and {option} say the same: give one of them")
     parser.given[action.dest] = option
+
+
+def add_option(
+    container: argparse._ActionsContainer, name: str, declared: Option, default: object
+) -> None:
+    """Add a declared option, or the words of the command line that are its values.
+
+    Args:
+        container: The parser, or a group of it.
+        name: Name of the value in the parsed options.
+        default: Its value if the option is missing; decides its kind, see ``Option``.
+    """
+    help_text = declared.help.replace("%", "%%")
+    help_text = Rare(help_text) if declared.rare else help_text
+    several = isinstance(default, (list, dict))
+    if not declared.names:
+        container.add_argument(name, metavar=declared.metavar, nargs="*", help=help_text)
+    elif isinstance(default, bool):
+        action = "store_false" if default else "store_true"
+        container.add_argument(*declared.names, dest=name, action=action, help=help_text)
+    else:
+        container.add_argument(
+            *declared.names,
+            dest=name,
+            action="extend" if declared.many else "append" if several else "store",
+            nargs="+" if declared.many else None,
+            metavar=declared.metavar,
+            type=declared.read,
+            default=[] if several else default,
+            choices=declared.choices or None,
+            help=help_text,
+        )
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type[object]) -> None:
+    """Add the options that the fields of a dataclass declare, each group under its title."""
+    groups: dict[OptionGroup, argparse._ActionsContainer] = {FIRST_GROUP: parser}
+    for name, (declared, default) in declared_options(kind).items():
+        group = declared.group
+        if group not in groups:
+            groups[group] = parser.add_argument_group(group.title, group.text or None)
+        add_option(groups[group], name, declared, default)
 
 
 class _HelpAll(argparse.Action):

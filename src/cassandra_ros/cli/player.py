@@ -26,7 +26,7 @@ import sys
 import termios
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Callable
 
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.candidates import answer_shell
@@ -41,24 +41,17 @@ from cassandra_ros.cli.options import (
     strip_remappings,
     without_empty,
 )
-from cassandra_ros.cli.parsers import Rare, program_parser
-from cassandra_ros.cli.readers import (
-    exact_duration,
-    exact_seconds,
-    factor,
-    megabytes,
-    seconds,
-    whole_number,
-)
+from cassandra_ros.cli.parsers import Rare, add_option, add_options, program_parser
 from cassandra_ros.cli.terminal_text import counted
-from cassandra_ros.cli.topic_options import add_exclude_option
 from cassandra_ros.errors import InvalidName, InvalidOption
+from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.printable import shown, shown_lines
+from cassandra_ros.quantities import exact_duration, exact_seconds, factor
+from cassandra_ros.shared_options import EXCLUDE
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.nodes.player import PlayerState
-    from cassandra_ros.playing.play_options import PlayerOptions
     from cassandra_ros.playing.play_selection import PlaySelection
     from cassandra_ros.stores.fleet.fleet import Fleet
 
@@ -76,8 +69,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.set_defaults(parser=parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="suppress console output")
     _add_selection(parser.add_argument_group("what is played"))
-    _add_pace(parser.add_argument_group("how"))
-    _add_names(parser.add_argument_group("on which topics"))
+    _add_names(parser.add_argument_group("names and clock").add_argument)
+    add_options(parser, PlayerOptions)
     add_store_options(parser)
     add_fleet_options(parser)
     return parser
@@ -97,7 +90,7 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
         help=Rare(text),
     )
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
-    add_exclude_option(group, "play all")
+    add_option(group, "exclude", EXCLUDE, [])
     add("-s", "--start", metavar="T", help="first time (default: the first message)")
     add(
         "-u",
@@ -133,47 +126,11 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     )
 
 
-def _add_pace(group: argparse._ArgumentGroup) -> None:
-    add = group.add_argument
-    text = "multiply the publish rate by FACTOR (default: %(default)s)"
-    add("-r", "--rate", metavar="FACTOR", type=factor, default=1.0, help=text)
-    text = "play back all messages without waiting, except for slow subscribers"
-    add("-i", "--immediate", action="store_true", help=text)
-    add("--pause", action="store_true", help="start in paused mode")
-    text = "pause before each message of these topics; may be repeated (default: do not pause)"
-    add("--pause-topics", metavar="TOPIC", nargs="+", action="extend", default=[], help=Rare(text))
-    text = "skip pauses without messages that are longer than SEC seconds (default: skip nothing)"
-    add("--skip-empty", metavar="SEC", type=seconds, help=text)
-    add("-l", "--loop", action="store_true", help="loop playback")
-    text = "keep running at the end, for late subscribers of latched topics and for ~seek"
-    add("-k", "--keep-alive", action="store_true", help=Rare(text))
-    text = "wait SEC seconds after advertising, to allow subscribers to connect (default: 0.2)"
-    add("-d", "--delay", metavar="SEC", type=seconds, default=0.2, help=Rare(text))
-    text = "wait for at least one subscriber on each topic before publishing"
-    add("--wait-for-subscribers", action="store_true", help=Rare(text))
-    text = "wait while the last stamp on this topic is too old (default: do not wait)"
-    add("--rate-control-topic", metavar="TOPIC", default="", help=Rare(text))
-    text = "maximum age of that stamp, seconds (default: %(default)s)"
-    add("--rate-control-max-delay", metavar="SEC", type=seconds, default=1.0, help=Rare(text))
-    text = "maximum size of the messages read in advance, MB (default: 64)"
-    add("--read-ahead", metavar="MB", type=megabytes, default="64", help=Rare(text))
-    text = "offer no services, so that no other program of the ROS network controls the player"
-    add("--no-services", action="store_true", help=Rare(text))
-
-
-def _add_names(group: argparse._ArgumentGroup) -> None:
-    add = group.add_argument
-    add(
-        "-p",
-        "--prefix",
-        metavar="PREFIX",
-        default="",
-        help="prefix all output topics (default: none)",
-    )
+def _add_names(add: Callable[..., object]) -> None:
+    text = "prefix all output topics (default: none)"
+    add("-p", "--prefix", metavar="PREFIX", default="", help=text)
     text = "prefix each topic with its robot, or with its run: /<robot>/topic"
     add("--node-prefix", action="store_true", help=Rare(text))
-    text = "use an outgoing queue of size SIZE for each subscriber (default: 100, 0 = infinite)"
-    add("--queue", metavar="SIZE", type=whole_number, default=100, help=Rare(text))
     add("--clock", action="store_true", help="publish the clock time")
     text = "use a frequency of HZ when publishing clock time (default: 100)"
     add("--hz", metavar="HZ", type=factor, default=100.0, help=Rare(text))
@@ -203,11 +160,8 @@ def read_selection(options: argparse.Namespace) -> PlaySelection:
 
 def read_options(options: argparse.Namespace) -> PlayerOptions:
     """Return the options of the player that the command line gives."""
-    from cassandra_ros.playing.play_options import PlayerOptions
-
     clock_hz = options.hz if options.clock else 0.0
-    values = same_named(PlayerOptions, options)
-    return PlayerOptions(**values, paused=options.pause, clock_hz=clock_hz)
+    return PlayerOptions(**same_named(PlayerOptions, options), clock_hz=clock_hz)
 
 
 def main() -> int:
@@ -217,7 +171,7 @@ def main() -> int:
     options = parser.parse_args(without_empty(strip_remappings(None)))
     try:
         selection, player_options = read_selection(options), read_options(options)
-    except (InvalidName, InvalidOption, argparse.ArgumentTypeError) as exc:
+    except (InvalidName, InvalidOption) as exc:
         options.parser.error(str(exc))
     from cassandra_ros.nodes.player_node import play
 
@@ -242,7 +196,7 @@ def main() -> int:
 
 def _require_no_pause(options: argparse.Namespace) -> None:
     """Refuse pauses that neither a key nor a service could end."""
-    given = {"--pause": options.pause, "--pause-topics": options.pause_topics}
+    given = {"--pause": options.paused, "--pause-topics": options.pause_topics}
     for name in [name for name, value in given.items() if value]:
         options.parser.error(
             f"{name} pauses until a key is pressed or a service is called, and there is no "

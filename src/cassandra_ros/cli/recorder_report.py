@@ -14,7 +14,7 @@ from cassandra_ros.printable import shown, shown_lines
 if TYPE_CHECKING:
     from cassandra_ros.recording.dry_run import PlannedTopic
     from cassandra_ros.recording.losses import LossTotal
-    from cassandra_ros.recording.recording_options import RecorderOptions
+    from cassandra_ros.recording.recorder_options import RecorderOptions
     from cassandra_ros.recording.recording_status import Rates, RecordingStatus
     from cassandra_ros.recording.topic_counts import TopicReport
     from cassandra_ros.store.tables.registry import LossKind

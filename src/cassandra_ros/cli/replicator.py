@@ -8,29 +8,27 @@ What is recorded is copied within 10 s. While the other store is away, messages 
 the robot; afterwards the copy goes on where it was, small topics first, or in the order of the
 rules. 'cassandra_bag copy --help' says what is copied, and 'cassandra_bag copy --status' shows what
 the other store has. The node is called replicator, with services ~status, ~pause and ~resume if
---no-services does not close them, and says how it is on /diagnostics. Its parameters ~to, ~rules,
-~rate, ~max_size, ~to_cqlshrc, ~to_credentials, ~no_services, ~host, ~port, ~keyspace, ~cqlshrc and
-~credentials set the options of the same names that are missing on the command line.
+--no-services does not close them, and says how it is on /diagnostics. Every option can also be set
+as a private parameter of the node: its long name with _ for -, as ~to_cqlshrc.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-from typing import Mapping
 
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.fleet_options import add_target_options, open_target
 from cassandra_ros.cli.options import add_store_options, open_store, strip_remappings
-from cassandra_ros.cli.parsers import program_parser
-from cassandra_ros.cli.quota_options import add_quota_options, check_quota_options
-from cassandra_ros.cli.readers import byte_size, truth
+from cassandra_ros.cli.parameters import parameter_words
+from cassandra_ros.cli.parsers import Parser, add_option, program_parser
 from cassandra_ros.printable import shown_lines
+from cassandra_ros.quantities import byte_size
+from cassandra_ros.shared_options import DROP_UNCOPIED, MAX_SIZE
 
 PROGRAM = "replicator"
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = program_parser(PROGRAM, __doc__)
     add = parser.add_argument
@@ -42,28 +40,14 @@ def make_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="delete there what is deleted here after it was copied",
     )
-    add_quota_options(add)
+    add_option(parser, "max_size", MAX_SIZE, 0)
+    add_option(parser, "drop_uncopied", DROP_UNCOPIED, False)
     add("--no-diagnostics", dest="diagnostics", action="store_false", help="not on /diagnostics")
     text = "offer no services, so that no other program of the ROS network pauses the copying"
     add("--no-services", action="store_true", help=text)
     add_target_options(parser, "--to", "the store to which topics are copied")
     add_store_options(parser)
     return parser
-
-
-def words_of(parser: argparse.ArgumentParser, parameters: Mapping[str, object]) -> list[str]:
-    """Return the parameters of the node as command line arguments."""
-    words = []
-    for name, value in parameters.items():
-        option = f"--{name.replace('_', '-')}"
-        if name == "no_services":
-            try:
-                words += [option] * truth(str(value))
-            except argparse.ArgumentTypeError as exc:
-                parser.error(f"parameter ~{name}: {exc}")
-        elif str(value) != "":
-            words.append(f"{option}={value}")
-    return words
 
 
 def main() -> int:
@@ -78,12 +62,11 @@ def main() -> int:
     from cassandra_ros.stores.copying.replicator import Replicator
     from cassandra_ros.stores.copying.rules import read_rules_file
 
-    # Parameters set the options that the command line does not give.
-    given = words_of(parser, start_node(sys.argv))
-    options = parser.parse_args(words, parser.parse_args(given))
+    options = parser.parse_args([*parameter_words(parser, start_node(sys.argv)), *words])
     if options.target is None:
         parser.error("say where to copy: --to HOST[:PORT][/KEYSPACE], or the parameter ~to")
-    check_quota_options(options, parser)
+    if options.drop_uncopied and not options.max_size:
+        parser.error("--drop-uncopied needs --max-size")
     rules = read_rules_file(options.rules)
     quota = Quota(options.max_size, uncopied=options.drop_uncopied) if options.max_size else None
 

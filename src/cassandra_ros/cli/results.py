@@ -20,8 +20,7 @@ from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.own_files import new_file
 from cassandra_ros.printable import shown
 from cassandra_ros.query.arrays.array_types import ArrayType
-from cassandra_ros.query.rows.answer_bound import AnswerBound, least_bytes
-from cassandra_ros.query.tree.json_values import json_value, to_json
+from cassandra_ros.query.tree.json_values import AnswerBound, json_value, least_bytes, to_json
 
 if TYPE_CHECKING:
     import pyarrow

@@ -7,10 +7,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, AbstractSet
 
-from cassandra_ros.arguments import check_pattern
-from cassandra_ros.cli.readers import checked
+from cassandra_ros.arguments import matching
 from cassandra_ros.errors import TopicNotFound
-from cassandra_ros.topics.patterns import matching
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.catalog import Catalog
@@ -59,24 +57,6 @@ def add_topics_option(parser: argparse._ActionsContainer, after: str) -> None:
         action="append",
         help="only topics whose whole name matches this regular expression, in addition to those "
         "of --topics; may be repeated",
-    )
-
-
-def add_exclude_option(parser: argparse._ActionsContainer, else_: str) -> None:
-    """Add -x, for programs that play or record topics.
-
-    Args:
-        else_: What happens without it, as 'play all'.
-    """
-    parser.add_argument(
-        "-x",
-        "--exclude",
-        metavar="EXCLUDE_REGEX",
-        type=checked(check_pattern),
-        action="append",
-        default=[],
-        help="leave out topics whose whole name matches this regular expression; may be repeated "
-        f"(default: {else_})",
     )
 
 

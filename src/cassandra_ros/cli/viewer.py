@@ -27,10 +27,12 @@ import secrets
 import sys
 import threading
 import webbrowser
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
+from cassandra_ros.cli.confirmation import person_reads, says_yes
 from cassandra_ros.cli.fleet_options import (
     add_fleet_options,
     open_fleet,
@@ -45,13 +47,17 @@ from cassandra_ros.cli.options import (
     without_empty,
 )
 from cassandra_ros.cli.parsers import error_line, program_parser
-from cassandra_ros.cli.readers import byte_size
-from cassandra_ros.cli.studio_offer import install, offer
-from cassandra_ros.errors import InvalidOption, KeyspaceNotFound
+from cassandra_ros.errors import DownloadFailed, InvalidOption, KeyspaceNotFound
 from cassandra_ros.installation import optional_module
+from cassandra_ros.quantities import byte_size
 from cassandra_ros.store.connection.address import from_environment
 from cassandra_ros.store.connection.login import is_private, read_login
-from cassandra_ros.viewing.studio import studio_folder
+from cassandra_ros.viewing.studio import (
+    STUDIO_VERSION,
+    install_studio,
+    studio_folder,
+    studio_installed,
+)
 from cassandra_ros.viewing.viewer_settings import (
     DEFAULT_CACHE_BYTES,
     DEFAULT_HOST,
@@ -217,7 +223,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from cassandra_ros.viewing.viewer_server import serve
 
     settings = read_settings(options)
-    offer(PROGRAM, settings.studio)
+    offer_studio(PROGRAM, settings.studio)
     with _open_stores(options) as source:
 
         def ready(address: str) -> None:
@@ -251,3 +257,46 @@ def _warn_of_nothing(catalog: Catalog) -> None:
         catalog.keyspace.side_tables.require_keyspace()
     except KeyspaceNotFound as exc:
         print(error_line(PROGRAM, f"{exc}; it is shown once it is there"), file=sys.stderr)
+
+
+COMMAND = "rosrun cassandra_ros viewer --install-studio"
+_DECLINED = "declined"
+"""Name of the empty file that marks that the user does not want the Studio."""
+
+
+def install(folder: Path) -> None:
+    """Download the Studio if it is missing, and print its folder.
+
+    Raises:
+        DownloadFailed: It cannot be downloaded or stored.
+    """
+    fetched = install_studio(folder, _say)
+    print(f"Studio {STUDIO_VERSION} {'is now' if fetched else 'was already'} in {folder}")
+
+
+def offer_studio(program: str, folder: Path) -> None:
+    """If the Studio is missing, ask the user once whether to download it, or print how to do so.
+
+    The caller starts the viewer in any case; a failed download is only reported.
+    """
+    if studio_installed(folder):
+        return
+    declined = folder.parent / _DECLINED
+    if person_reads() and not declined.exists():
+        question = (
+            "Look shows messages in Foxglove Studio, which is not here yet. Fetch it (37 MB)?"
+        )
+        if says_yes(question):
+            try:
+                install(folder)
+            except DownloadFailed as exc:
+                print(error_line(program, str(exc)), file=sys.stderr)
+            return
+        with suppress(OSError):  # if the answer cannot be stored, the next start asks again
+            declined.parent.mkdir(parents=True, exist_ok=True)
+            declined.touch()
+    print(f"Look needs the Studio, all else works without it: {COMMAND}", file=sys.stderr)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

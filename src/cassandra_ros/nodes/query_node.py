@@ -52,8 +52,7 @@ from cassandra_ros.nodes.ros_node import (
     offer_services,
     own_name,
 )
-from cassandra_ros.query.rows.answer_bound import AnswerBound
-from cassandra_ros.query.tree.json_values import from_json
+from cassandra_ros.query.tree.json_values import AnswerBound, from_json
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
@@ -103,7 +102,6 @@ Response = TypeVar("Response")
 
 _log = logging.getLogger(__name__)
 
-PARAMETERS = ("host", "port", "keyspace", "cqlshrc", "credentials", "allow_writes")
 DEFAULT_LIMIT = 100
 """Default number of messages or rows of a page."""
 MAX_REPLY_BYTES = 16 * 1024 * 1024
@@ -123,8 +121,8 @@ READ_ONLY = (
 )
 
 
-def start_node(argv: Sequence[str]) -> dict[str, str]:
-    """Start the node; return its private parameters as texts.
+def start_node(argv: Sequence[str]) -> Mapping[str, object]:
+    """Start the node; return its private parameters.
 
     Raises:
         InvalidName: A node of the same name is running.
@@ -145,8 +143,8 @@ def start_node(argv: Sequence[str]) -> dict[str, str]:
             raise KeyboardInterrupt from exc
     forward_logging()
     bound_master_calls()
-    given = {name: rospy.get_param(f"~{name}", None) for name in PARAMETERS}
-    return {name: str(value) for name, value in given.items() if value is not None}
+    parameters: dict[str, object] = rospy.get_param("~", {})
+    return parameters
 
 
 def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool = False) -> None:

@@ -29,8 +29,8 @@ from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.event_marks import EventMarks
 from cassandra_ros.recording.left_runs import LeftRuns
 from cassandra_ros.recording.quota_keeper import QuotaKeeper
+from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.recording_status import (
     RECORDING,
     SNAPSHOT,

@@ -18,7 +18,7 @@ from cassandra_ros.nodes.diagnostics import Diagnostics, KeyspaceAddress
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
 from cassandra_ros.nodes.recorder_services import services_of
 from cassandra_ros.nodes.ros_node import follow_clock, offer_services, start_named_node
-from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.recording_status import Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
 

@@ -15,7 +15,6 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
-from cassandra_ros.errors import InvalidOption
 from cassandra_ros.msg import CopiedTopic
 from cassandra_ros.nodes.diagnostics import quota_entry
 from cassandra_ros.nodes.ros_node import offer_services, start_named_node
@@ -34,11 +33,6 @@ from cassandra_ros.stores.copying.follower import (
 
 _log = logging.getLogger(__name__)
 
-PARAMETERS = (
-    *("to", "rules", "rate", "max_size", "to_cqlshrc", "to_credentials", "no_services"),
-    *("host", "port", "keyspace", "cqlshrc", "credentials"),
-)
-"""Private parameters, which are called like options."""
 SERVICES: Mapping[str, type] = {"status": ReplicatorStatus, "pause": Trigger, "resume": Trigger}
 """The services with their classes."""
 TICK_SEC = 0.2
@@ -50,21 +44,8 @@ Say = Callable[[str], object]
 
 
 def start_node(argv: Sequence[str]) -> Mapping[str, object]:
-    """Start the node /replicator, or an anonymous one if the name is taken.
-
-    Returns:
-        Its private parameters.
-
-    Raises:
-        InvalidOption: There is no such parameter.
-    """
-    parameters = start_named_node("replicator", argv)
-    unknown = sorted(set(parameters).difference(PARAMETERS))
-    if unknown:
-        raise InvalidOption(
-            f"there is no parameter ~{unknown[0]}: there are {', '.join(PARAMETERS)}"
-        )
-    return parameters
+    """Start the node /replicator, anonymous if the name is taken; return its parameters."""
+    return start_named_node("replicator", argv)
 
 
 def follow(follower: Follower, say: Say, *, diagnostics: bool, no_services: bool) -> str:

@@ -22,7 +22,8 @@ from cassandra_ros.nodes.subscription import (
     was_heard,
 )
 from cassandra_ros.recording.dry_run import PlannedTopic, plan_topics
-from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.recorder_options import RecorderOptions
+from cassandra_ros.recording.topic_settings import recording_settings
 from cassandra_ros.topics.catalog import Catalog
 
 _log = logging.getLogger(__name__)
@@ -176,4 +177,4 @@ def make_plan(catalog: Catalog, options: RecorderOptions) -> list[PlannedTopic]:
     topics.update(filter(options.chooses, published_topics()))
     _, _, pairs = rospy.get_master().getTopicTypes()
     types = dict(pairs)
-    return plan_topics(catalog, options.settings, {t: types.get(t, "") for t in topics})
+    return plan_topics(catalog, recording_settings(options), {t: types.get(t, "") for t in topics})

@@ -8,14 +8,19 @@ import logging
 from dataclasses import dataclass, field
 from typing import Mapping, Sequence, Union
 
-from cassandra_ros.arguments import check_list, check_ros_name, check_topics
+from cassandra_ros.arguments import (
+    check_list,
+    check_ros_name,
+    check_topics,
+    compile_pattern,
+    matching,
+)
 from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.messages.stamps import Length
 from cassandra_ros.playing.play_times import PlayTime
 from cassandra_ros.playing.played_store import PlayedStore
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.event_finder import EventRule
-from cassandra_ros.topics.patterns import compiled, matching
 from cassandra_ros.topics.row_finder import Where
 
 _log = logging.getLogger(__name__)
@@ -92,7 +97,7 @@ def chosen_topics(store: PlayedStore, selection: PlaySelection) -> list[str]:
     else:
         names = set(store.names())
     excluded = [text for text in check_list("exclude", selection.exclude, "['/a.*']") if text]
-    for pattern in [compiled("exclude", text) for text in excluded]:
+    for pattern in [compile_pattern("exclude", text) for text in excluded]:
         names = {name for name in names if not pattern.fullmatch(name)}
     if selection.regex or given is None:  # a topic given by name raises its error later
         names = {name for name in names if _is_readable(store, name)}

@@ -29,11 +29,12 @@ from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.files.spool.segment_reader import SegmentReader
 from cassandra_ros.files.spool.segment_writer import SegmentWriter, SpooledMessage
-from cassandra_ros.files.spool.spool_folder import RunFolder, SpoolFolder
+from cassandra_ros.files.spool.spool_folder import RunFolder
 from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel, TopicTotal, Totals
 from cassandra_ros.keys import COUNTER_BITS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, MessageSource
+from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.store.tables.registry import LossKind
 from cassandra_ros.topics.message_writer import Handle
 
@@ -69,18 +70,6 @@ _LOW = (1 << COUNTER_BITS) - 1
 
 Lose = Callable[[str, int, LossKind, int, int, str], None]
 """Counts lost messages: topic, number, kind, first and last time (ns), detail."""
-
-
-class SpoolPlan(NamedTuple):
-    """How a recording uses the spool."""
-
-    folder: SpoolFolder
-    keyspace: str = ""
-    address: str = ""
-    """Hosts and port of the store; '' = not known."""
-    journal: bool = False
-    drops_newest: bool = False
-    """Whether a full spool drops new messages, not the oldest ones."""
 
 
 class OnDisk(NamedTuple):

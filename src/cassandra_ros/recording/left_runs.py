@@ -12,7 +12,7 @@ from typing import Callable
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.files.spool.spool_folder import RunFolder
-from cassandra_ros.recording.backlog import SpoolPlan
+from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.recording.spool_drain import Drain, Drained, LeftRun, read_left
 from cassandra_ros.recording.store_future import is_there
 from cassandra_ros.topics.catalog import Catalog

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values of a recorder's options and settings: their defaults, and how their texts are read.
+"""Values of a recorder's options and settings, and how their texts are read.
 
 Help and usage errors of the recorder need no more than this module, which imports little.
 """
@@ -9,27 +9,69 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Mapping, NamedTuple, Sequence, Tuple
 
-from cassandra_ros.arguments import check_labels, check_ttl
+from cassandra_ros.arguments import check_labels, check_pattern, check_ttl
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.quantities import duration
+
+if TYPE_CHECKING:
+    from cassandra_ros.recording.event_marks import WatchedEvent
 
 DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
 """Default maximum memory of the messages that wait for the store, bytes."""
+DEFAULT_SPACE_BYTES = 1 << 30
+"""Default minimum free space where the local Cassandra keeps its data, bytes."""
 BLOCK_SEC = 0.5
 """Default maximum time that a message waits for others in a block of format packed, s."""
-_UNITS = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}
-"""Units of durations, s."""
 MAX_RATE_HZ = 1e6
 """Maximum value of a rate limit, Hz."""
 
+Rule = Tuple[str, Mapping[str, Any]]
+"""A regular expression that must match whole topic names, and values of TopicSettings by name."""
+
+
+class SettingsFile(NamedTuple):
+    """What a settings file says."""
+
+    rules: Sequence[Rule] = ()
+    events: Sequence[WatchedEvent] = ()
+    """Events that last while a condition holds."""
+
+
+def read_config(name: str) -> SettingsFile:
+    """Read a settings file. An empty name, which a launch file may pass, means no file."""
+    if not name:
+        return SettingsFile()
+    from cassandra_ros.recording.topic_settings import read_settings
+
+    try:
+        text = Path(name).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as exc:
+        raise InvalidOption(f"the settings {name!r} cannot be read: {exc}") from exc
+    return read_settings(text, name)
+
+
+def read_where(text: str) -> tuple[str, str]:
+    """Read 'TOPIC: CONDITION'. Return a pattern of topics and the condition."""
+    from cassandra_ros.recording.topic_settings import check_condition
+
+    topic, colon, condition = (word.strip() for word in text.partition(":"))
+    if not (topic and colon and condition):
+        raise InvalidOption(f"{text!r} is not of the form 'TOPIC: CONDITION'")
+    return check_pattern(topic), check_condition(condition)
+
+
+def read_rate_limit(text: str) -> tuple[str, float]:
+    """Read '[TOPIC:]HZ'. Return a pattern of topics and the rate, Hz."""
+    topic, _, rate = text.rpartition(":")
+    return check_pattern(topic.strip() or ".*"), read_rate(rate.strip())
+
 
 def read_duration(value: object) -> float:
-    """Read a duration: a number of seconds above 0, or a number followed by s, m, h or d."""
-    text = str(value) if isinstance(value, (int, float, str)) else ""
-    match = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]*)?|\.[0-9]+)([smhd]?)", text)
-    if match is None or not float(match[1]):
-        raise InvalidOption(f"{str(value)!r:.80} is not a duration, like 30, 5m or 2h")
-    return float(match[1]) * _UNITS[match[2]]
+    """Read a duration above 0 of a settings file: seconds, or a text with s, m, h, d or w."""
+    return duration(str(value) if isinstance(value, (int, float, str)) else "")
 
 
 def read_rate(value: object) -> float:

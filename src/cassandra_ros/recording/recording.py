@@ -25,12 +25,13 @@ from cassandra_ros.files.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.places.run_index import RobotRun
-from cassandra_ros.recording.backlog import Backlog, OnDisk, SpoolPlan
+from cassandra_ros.recording.backlog import Backlog, OnDisk
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, Feed, MessageSource
 from cassandra_ros.recording.option_values import BLOCK_SEC, DEFAULT_BUFFER_BYTES
 from cassandra_ros.recording.place_keeper import PlaceKeeper
+from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
 from cassandra_ros.recording.table_maker import TableMaker, connect, make_together
 from cassandra_ros.recording.topic_counts import Counts, TopicReport

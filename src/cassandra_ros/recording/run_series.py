@@ -17,10 +17,11 @@ from cassandra_ros.arguments import check_run_name
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.recording.event_writer import EventWriter
 from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.store_future import Store, failure_of, store_future
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
+from cassandra_ros.recording.topic_settings import recording_settings
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +108,7 @@ class RunSeries:
     ) -> None:
         self._store = store_future(store)
         self._options, self._clock, self._begun = options, clock, begun
-        self._settings = options.settings
+        self._settings = recording_settings(options)
         self._space = SpaceGuard(options.free_space, options.min_space)
         self._look = 0.0
         self.events = EventWriter(self._store)

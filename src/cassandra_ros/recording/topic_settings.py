@@ -7,7 +7,7 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Callable, Mapping, Sequence, Tuple
+from typing import Any, Callable, Mapping, Sequence
 
 import yaml
 
@@ -26,10 +26,13 @@ from cassandra_ros.query.tree.parse import parse_condition, terms_of_condition
 from cassandra_ros.query.tree.syntax import TIMED, InEvent, Literal, TimeNs, inside, leaves
 from cassandra_ros.recording.event_marks import WatchedEvent
 from cassandra_ros.recording.option_values import (
+    Rule,
+    SettingsFile,
     read_duration,
     read_rate,
     read_ttl,
 )
+from cassandra_ros.recording.recorder_options import RecorderOptions
 
 MAX_CONFIG_BYTES = 1 << 20
 """Maximum length of a settings file, characters."""
@@ -53,10 +56,6 @@ class TopicSettings:
     """Fields that get an index when the topic's table is made."""
 
 
-Rule = Tuple[str, Mapping[str, Any]]
-"""A regular expression that must match whole topic names, and values of TopicSettings by name."""
-
-
 @dataclass(frozen=True)
 class RecordingSettings:
     """The settings of all topics.
@@ -77,6 +76,15 @@ class RecordingSettings:
             matching = (values for pattern, values in rules if re.fullmatch(pattern, topic))
             settings = replace(settings, **next(matching, {}))
         return settings
+
+
+def recording_settings(options: RecorderOptions) -> RecordingSettings:
+    """Return the settings of all topics that the options of a recorder give."""
+    conditions: Sequence[Rule] = [(p, {"where": text}) for p, text in options.where]
+    rates: Sequence[Rule] = [(p, {"rate_limit": rate}) for p, rate in options.rate_limit]
+    default = TopicSettings(format=options.format, ttl=options.ttl)
+    config = options.config
+    return RecordingSettings(default, [config.rules, conditions, rates], config.events)
 
 
 def settings_as_json(settings: RecordingSettings) -> Mapping[str, Any]:
@@ -106,41 +114,31 @@ def _setting_values(values: Mapping[str, Any]) -> Mapping[str, Any]:
     return {n: tuple(values[n]) if isinstance(values[n], list) else values[n] for n in names}
 
 
-def read_settings(text: str, source: str = "settings") -> list[Rule]:
-    """Read the rules of a YAML text; config/recorder.yaml is an example.
+def read_settings(text: str, source: str = "settings") -> SettingsFile:
+    """Read a YAML text with rules for topics, and with events; see config/recorder.yaml.
 
     Raises:
         InvalidOption: The text cannot be read; the error has ``source``, entry and remedy.
     """
     try:
-        entries = _entries(text, "topics", "each with a pattern")
-        return [_rule(number, entry) for number, entry in enumerate(entries, 1)]
+        if len(text) > MAX_CONFIG_BYTES:
+            raise InvalidOption(f"it is longer than {MAX_CONFIG_BYTES} characters")
+        content = yaml.safe_load(text)
+        content = {} if content is None else content
+        if not isinstance(content, dict) or not set(content) <= {"topics", "events"}:
+            raise InvalidOption("it must be a mapping with the keys topics and events, each a list")
+        topics = _entries(content, "topics", "each with a pattern")
+        events = _entries(content, "events", "each with name, topic and where")
+        return SettingsFile(
+            [_rule(number, entry) for number, entry in enumerate(topics, 1)],
+            [_event(number, entry) for number, entry in enumerate(events, 1)],
+        )
     except (yaml.YAMLError, CassandraRosError, RecursionError) as exc:
         raise InvalidOption(f"{source} cannot be used: {exc}") from exc
 
 
-def read_events(text: str, source: str = "settings") -> list[WatchedEvent]:
-    """Read the events of a YAML text, which may have settings of topics, too.
-
-    Raises:
-        InvalidOption: As read_settings.
-    """
-    try:
-        entries = _entries(text, "events", "each with name, topic and where")
-        return [_event(number, entry) for number, entry in enumerate(entries, 1)]
-    except (yaml.YAMLError, CassandraRosError, RecursionError) as exc:
-        raise InvalidOption(f"{source} cannot be used: {exc}") from exc
-
-
-def _entries(text: str, key: str, form: str) -> list[object]:
+def _entries(content: Mapping[str, object], key: str, form: str) -> list[object]:
     """Return the list under a key of a settings file."""
-    if len(text) > MAX_CONFIG_BYTES:
-        raise InvalidOption(f"it is longer than {MAX_CONFIG_BYTES} characters")
-    content = yaml.safe_load(text)
-    if content is None:
-        return []
-    if not isinstance(content, dict) or not set(content) <= {"topics", "events"}:
-        raise InvalidOption("it must be a mapping with the keys topics and events, each a list")
     entries = content.get(key) or []
     if not isinstance(entries, list):
         raise InvalidOption(f"{key} must be a list of mappings, {form}")

@@ -11,7 +11,7 @@ from typing import Callable
 from cassandra_ros.messages.formats.json import CassandraTopic_json
 from cassandra_ros.messages.tree.echo import echo_printer
 from cassandra_ros.messages.tree.tree_reader import Budget, tree_reader
-from cassandra_ros.query.rows.answer_bound import MAX_ANSWER_BYTES, AnswerBound
+from cassandra_ros.query.tree.json_values import MAX_ANSWER_BYTES, AnswerBound
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 

@@ -30,10 +30,10 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.definition import Definition, definition_of
-from cassandra_ros.messages.formats.table import DEFAULT_FORMAT, format_class
+from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
-from cassandra_ros.metadata import TopicMetadata, shadow_column
+from cassandra_ros.metadata import DEFAULT_FORMAT, TopicMetadata, shadow_column
 from cassandra_ros.store.tables.lengths import MIN_SPAN_NS, UNKNOWN_SPAN_NS, limit_for_ttl
 from cassandra_ros.store.tables.schema import Planner, Schema, TablePlan, TableWish
 from cassandra_ros.topics.topic_table import (

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Iterator, Mapping, Sequence, Union
 
-from cassandra_ros.query.rows.answer_bound import AnswerBound
+from cassandra_ros.query.tree.json_values import AnswerBound
 
 Json = Union[None, bool, int, float, str, "Sequence[Json]", "Mapping[str, Json]"]
 

@@ -55,7 +55,6 @@ from cassandra_ros.viewing import (
     image_routes,
     look_routes,
     mark_routes,
-    note_routes,
     timeline_routes,
 )
 from cassandra_ros.viewing.answers import Answer, Bytes, Json, StreamedBody
@@ -155,7 +154,7 @@ def _notes(call: ApiCall, stores: FleetAnswer) -> _Told:
         reasons = stores.each(stores.catalogs, lambda c: c.keyspace.runs.unknown_robot(node))
         return next(iter(reasons.values()), "") if all(reasons.values()) else ""
 
-    notes = note_routes.notes_of(call, unknown_robot, lambda: call.fleet.ends(stores))
+    notes = timeline_routes.notes_of(call, unknown_robot, lambda: call.fleet.ends(stores))
     # A store that does not answer may have them.
     return {"notes": [] if stores.partial else notes}
 

@@ -9,7 +9,7 @@ import math
 from typing import Sequence
 
 from cassandra_ros.messages.stamps import is_time
-from cassandra_ros.query.rows.answer_bound import AnswerBound
+from cassandra_ros.query.tree.json_values import AnswerBound
 from cassandra_ros.viewing.answers import Json
 
 _EXACT = 2**53

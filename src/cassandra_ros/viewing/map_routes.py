@@ -16,13 +16,13 @@ from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.api_call import NODES, RUNS, WHOLE_RANGE, ApiCall
-from cassandra_ros.viewing.drawing.map_picture import map_info, map_png
 from cassandra_ros.viewing.mapping.map_builder import (
     DEFAULT_RESOLUTION,
     MadeMap,
     MapOptions,
     makeMap,
 )
+from cassandra_ros.viewing.mapping.map_files import map_info, map_png
 from cassandra_ros.viewing.mapping.sensor_poses import PoseChoice
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.viewer_settings import ViewerSettings

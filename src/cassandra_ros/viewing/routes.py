@@ -13,7 +13,6 @@ from cassandra_ros.viewing import (
     map_routes,
     mark_routes,
     near_routes,
-    note_routes,
     timeline_routes,
     window_routes,
 )
@@ -29,7 +28,6 @@ def _describe(call: ApiCall) -> Json:
 
 ROUTES: tuple[Route, ...] = (
     *catalog_routes.ROUTES,
-    *note_routes.ROUTES,
     *mark_routes.ROUTES,
     *event_routes.ROUTES,
     *timeline_routes.ROUTES,

@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Route of the timeline on Home: message counts of topics and robots over time."""
+"""Routes of the timeline on Home: message counts over time, and notes on what is not stored."""
 
 from __future__ import annotations
 
-from typing import Iterable, Sequence
+from typing import Callable, Iterable, Sequence
 
 from cassandra_ros.read import Whose
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.stored_ends import Ends, far_outside, wrong_unit
 from cassandra_ros.topics.overview.timeline.lanes import Lane, Picture, RunSpan, Timeline, View
 from cassandra_ros.topics.overview.timeline.time_cells import (
     MAX_TIMELINE_CELLS,
@@ -17,7 +18,17 @@ from cassandra_ros.topics.overview.timeline.time_cells import (
     time_ranges_of_cells,
 )
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.api_call import NODES, RUNS, TOPICS, WHOLE_RANGE, ApiCall, whose_of
+from cassandra_ros.viewing.api_call import (
+    END,
+    NODES,
+    RUNS,
+    START,
+    TIME,
+    TOPICS,
+    WHOLE_RANGE,
+    ApiCall,
+    whose_of,
+)
 from cassandra_ros.viewing.catalog_routes import shown_ns
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
@@ -107,6 +118,30 @@ def _run(span: RunSpan, names: dict[int, str]) -> dict[str, Json]:
     }
 
 
+def _notes(call: ApiCall) -> Json:
+    unknown_robot = call.catalog.keyspace.runs.unknown_robot
+    return {"notes": notes_of(call, unknown_robot, lambda: call.cached(timeline_of).ends())}
+
+
+def notes_of(
+    call: ApiCall, unknown_robot: Callable[[str], str], stored_ends: Callable[[], Ends | None]
+) -> list[Json]:
+    """Say which robots of a call are not stored, and which times are far from what is stored.
+
+    Args:
+        unknown_robot: Returns why a robot is not stored; '' = it is.
+        stored_ends: Returns the times of the first and the last message; None = no message.
+    """
+    notes: list[Json] = [*filter(None, map(unknown_robot, call.texts("nodes") or ()))]
+    times = {name: call.time_ns(name) for name in ("start", "end", "time")}
+    ends = stored_ends() if any(ns is not None for ns in times.values()) else None
+    for name, ns in times.items():
+        if ns is not None and ends is not None:
+            reason = wrong_unit(str(ns), ns, ends) or far_outside(name, ns, ends)
+            notes += [f"{name}={ns} {reason}"] if reason else []
+    return notes
+
+
 ROUTES: tuple[Route, ...] = (
     Route(
         "/api/timeline",
@@ -135,5 +170,12 @@ ROUTES: tuple[Route, ...] = (
                 "Read keys of buckets that cover several cells, up to a maximum number of keys.",
             ),
         ),
+    ),
+    Route(
+        "/api/notes",
+        _notes,
+        "`notes` say which robots of the call are not stored, and which times are far from what "
+        "is stored. A viewer of several stores has none if one of them does not answer.",
+        (NODES, START, END, TIME),
     ),
 )

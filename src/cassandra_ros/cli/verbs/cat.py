@@ -29,10 +29,10 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
-from cassandra_ros.cli.readers import whole_number
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.printable import shown, shown_lines
+from cassandra_ros.quantities import whole_number
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.stored_row import StoredRow

@@ -40,12 +40,12 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown
+from cassandra_ros.quantities import byte_size
 
 if TYPE_CHECKING:
     from cassandra_ros.stores.copying.copy_status import TopicStatus

@@ -34,10 +34,10 @@ from cassandra_ros.cli.options import (
     read_pairs,
     read_times,
 )
-from cassandra_ros.cli.readers import whole_number
 from cassandra_ros.cli.terminal_text import counted, format_table
 from cassandra_ros.errors import EventNotFound, InvalidOption
 from cassandra_ros.printable import shown
+from cassandra_ros.quantities import whole_number
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra

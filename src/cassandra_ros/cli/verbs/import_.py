@@ -45,13 +45,12 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
-    add_format_option,
     add_large_chunks_option,
     add_store_options,
     foreign_keyspace,
     open_store,
 )
-from cassandra_ros.cli.parsers import error_line
+from cassandra_ros.cli.parsers import add_option, error_line
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import (
@@ -65,6 +64,7 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.printable import shown
+from cassandra_ros.shared_options import FORMAT
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -121,7 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bags", nargs="+", metavar="FILE", help=text)
     text = "also import the files in subfolders of a folder (default: only those in the folder)"
     add("-r", "--recursive", action="store_true", help=text)
-    add_format_option(parser)
+    add_option(parser, "format", FORMAT, None)
     add_topics_option(parser, "the FILEs")
     add(
         "--node-id",

@@ -45,10 +45,10 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.parsers import Rare
-from cassandra_ros.cli.readers import factor, whole_number
 from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound, cannot_write
 from cassandra_ros.printable import shown
+from cassandra_ros.quantities import factor, whole_number
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -213,8 +213,7 @@ def _given_values(**values: Any) -> dict[str, Any]:
 
 def _save(made: OccupancyMap, output: Path) -> list[str]:
     """Write the files of a map; return their names."""
-    from cassandra_ros.viewing.drawing.map_picture import map_png
-    from cassandra_ros.viewing.mapping.map_files import save_map, write_whole
+    from cassandra_ros.viewing.mapping.map_files import map_png, save_map, write_whole
 
     try:
         if output.suffix != _PICTURE:

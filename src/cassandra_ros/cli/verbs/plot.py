@@ -73,7 +73,7 @@ def _size(text: str) -> tuple[int, int]:
     size = (int(match[1]), int(match[2])) if match else (0, 0)
     if any(side not in _SIZES for side in size):
         limits = f"{_SIZES[0]} to {_SIZES[-1]} pixels a side"
-        raise argparse.ArgumentTypeError(f"{text!r} is not a size: write it as 1200x600, {limits}")
+        raise InvalidOption(f"{text!r} is not a size: write it as 1200x600, {limits}")
     return size
 
 

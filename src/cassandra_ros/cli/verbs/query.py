@@ -96,7 +96,7 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
 
 def _count(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of rows: at least 1")
+        raise InvalidOption(f"{text!r} is not a number of rows: at least 1")
     return int(text)
 
 

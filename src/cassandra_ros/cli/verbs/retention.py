@@ -35,10 +35,10 @@ from cassandra_ros.cli.options import (
     read_conditions,
     read_pair,
 )
-from cassandra_ros.cli.readers import age, byte_size, exact_seconds, factor
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.printable import shown
+from cassandra_ros.quantities import byte_size, duration, exact_seconds, factor
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.upkeep.retention_rules import Retained
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_rules(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     text = "delete older messages: 30d, 8w, 12h, 90m or seconds (default: no maximum age)"
-    add("--max-age", metavar="AGE", type=age, help=text)
+    add("--max-age", metavar="AGE", type=duration, help=text)
     text = (
         "maximum size of all topics together: 20G, 500M or bytes, as info counts them; the oldest "
         "messages are deleted first (default: no maximum)"
@@ -79,7 +79,7 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
     text = "keep at most HZ messages per second of each publisher (default: keep all)"
     add("--thin", metavar="HZ", type=factor, help=text)
     text = "with --thin: thin only older messages, as 12h or 7d (default: 0, thin all)"
-    add("--thin-after", metavar="AGE", type=age, default=0.0, help=text)
+    add("--thin-after", metavar="AGE", type=duration, default=0.0, help=text)
     text = (
         "keep all messages of all topics around the times at which a message of TOPIC satisfies "
         "CONDITION, as in CQL, or around the events of a name ('event: NAME'); may be repeated"

@@ -32,13 +32,12 @@ from cassandra_ros.cli.options import (
     open_store,
     read_pairs,
 )
-from cassandra_ros.cli.readers import checked
 from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, topics_among
-from cassandra_ros.errors import AccessDenied
-from cassandra_ros.messages.formats.table import DEFAULT_FORMAT
-from cassandra_ros.metadata import FORMAT_NAMES
+from cassandra_ros.errors import AccessDenied, InvalidOption
+from cassandra_ros.metadata import DEFAULT_FORMAT, FORMAT_NAMES
 from cassandra_ros.printable import shown
+from cassandra_ros.recording.option_values import BLOCK_SEC, read_rate_limit
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -104,12 +103,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "messages a second of the topics whose whole name matches, or of all topics; the first "
         "match counts; may be repeated (default: the mean rate in the store or the file)"
     )
-    kind = checked(_rate)
     add(
         "--rates",
         metavar="[TOPIC:]HZ",
         nargs="+",
-        type=kind,
+        type=read_rate_limit,
         action="extend",
         default=[],
         help=text,
@@ -189,7 +187,6 @@ def _measurement(ros_cas: RosCassandra, keyspace: str) -> Callable[[TopicSample]
 
 def _size(sample: TopicSample, rates: Rates, measured: float | None) -> TopicSize:
     from cassandra_ros.files.bag.size_estimate import estimate
-    from cassandra_ros.recording.option_values import BLOCK_SEC
 
     given = (hz for pattern, hz in rates if re.fullmatch(pattern, sample.topic))
     sample.rate_hz = next(given, sample.rate_hz)
@@ -273,21 +270,15 @@ def _bytes(size: float | None) -> str:
     return "-" if size is None else format_bytes(round(size))
 
 
-def _rate(text: str) -> tuple[str, float]:
-    from cassandra_ros.cli.recorder import read_limit
-
-    return read_limit(text)
-
-
 def _days(text: str) -> float:
     days = float(text)
     if not 0 < days <= 36500:
-        raise argparse.ArgumentTypeError(f"{text}: give days above 0 and up to 36500")
+        raise InvalidOption(f"{text}: give days above 0 and up to 36500")
     return days
 
 
 def _number(text: str) -> int:
     number = int(text)
     if not 0 < number <= 100_000:
-        raise argparse.ArgumentTypeError(f"{text}: give a number from 1 to 100000")
+        raise InvalidOption(f"{text}: give a number from 1 to 100000")
     return number

@@ -28,7 +28,6 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
-from cassandra_ros.cli.readers import duration, whole_number
 from cassandra_ros.errors import (
     CassandraRosError,
     CorruptMessage,
@@ -37,6 +36,7 @@ from cassandra_ros.errors import (
     UnknownEncoding,
 )
 from cassandra_ros.printable import shown
+from cassandra_ros.quantities import duration, whole_number
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.catalog import Catalog
@@ -83,8 +83,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Select messages, draw them, write the sheet, and print what it shows."""
-    from cassandra_ros.viewing.drawing.contact_sheet import draw_sheet
-    from cassandra_ros.viewing.drawing.picture_file import check_picture_path, save_picture
+    from cassandra_ros.viewing.drawing.contact_sheet import (
+        check_picture_path,
+        draw_sheet,
+        save_picture,
+    )
 
     path = options.output or f"{options.topic.strip('/').replace('/', '_') or 'topic'}.png"
     count = _count(options)

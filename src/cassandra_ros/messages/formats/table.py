@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 FALLBACK_FORMAT = "binary"
 """Name of the format for topics whose definition is unusable: it needs no definition."""
-DEFAULT_FORMAT = "ros"
 
 
 def format_class(name: str) -> type[CassandraTopic_]:

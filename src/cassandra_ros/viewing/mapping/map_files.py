@@ -1,17 +1,21 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Maps in the files of map_server: an image with three greys, and a YAML file with its metadata."""
+"""Maps as a PNG, and as files of map_server: an image with three greys, and YAML metadata."""
 
 from __future__ import annotations
 
+import io
+import json
 import os
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
 from cassandra_ros.errors import InvalidName
+from cassandra_ros.installation import optional_module
 from cassandra_ros.own_files import new_file
 from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
 
@@ -21,6 +25,13 @@ FREE_BELOW = 50
 """Probability below which a cell is free, %. A cell that a beam crossed once is free."""
 _OCCUPIED, _UNKNOWN, _FREE = 0, 205, 254
 """Grey values of map_server and map_saver."""
+
+# Indexed by a cell's byte, so that a large map needs no array of floats.
+_PERCENT = np.arange(256).astype(np.uint8).view(np.int8)
+_SEEN = np.where(_PERCENT < 0, 0, 255).astype(np.uint8)
+_GREYS = np.where(_PERCENT < 0, _UNKNOWN, np.rint(255 - 2.55 * np.clip(_PERCENT, 0, 100))).astype(
+    np.uint8
+)
 
 
 def trinary(made: OccupancyMap) -> np.ndarray:  # type: ignore[type-arg]
@@ -83,3 +94,46 @@ def write_whole(path: Path, data: bytes) -> None:
     finally:
         with suppress(FileNotFoundError):
             draft.unlink()
+
+
+def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
+    """Return a map as PNG, one pixel per cell, the row with the largest y first.
+
+    The PNG also contains map_info, in a text field called ``map``.
+
+    Args:
+        made: The map.
+        transparent: Whether unknown cells are transparent instead of grey.
+
+    Raises:
+        MissingDependency: Pillow is not installed.
+    """
+    image = optional_module("PIL.Image", "a picture of a map")
+    plugin = optional_module("PIL.PngImagePlugin", "a picture of a map")
+    cells = made.cells[::-1].view(np.uint8)
+    layers = [_GREYS[cells]]
+    if transparent:
+        layers.append(_SEEN[cells])
+    # A picture needs at least one pixel.
+    shape = max(made.height, 1), max(made.width, 1)
+    empty = np.full(shape, _UNKNOWN, np.uint8), np.zeros(shape, np.uint8)
+    planes = [image.fromarray(p if p.size else e) for p, e in zip(layers, empty)]
+    picture = image.merge("LA", planes) if transparent else planes[0]
+    notes = plugin.PngInfo()
+    notes.add_text("map", json.dumps(map_info(made)))
+    out = io.BytesIO()
+    picture.save(out, "PNG", pnginfo=notes, compress_level=4)
+    return out.getvalue()
+
+
+def map_info(made: OccupancyMap) -> dict[str, Any]:
+    """Return the metadata of a map's picture: x, y, yaw are those of its lower left corner."""
+    return {
+        "frame": made.frame,
+        "resolution": made.resolution,
+        "x": made.x,
+        "y": made.y,
+        "yaw": made.yaw,
+        "width": made.width,
+        "height": made.height,
+    }

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Private ROS parameters of a node: one for each option of its program, with _ for -: ~node_id."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Collection, Mapping
+
+from cassandra_ros.cli.parsers import Parser
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.quantities import truth
+
+COMMAND_LINE_ONLY = ("help", "help_all", "version", "quiet", "dry_run", "udp")
+"""Options that are no parameters: they end the program at once, or concern its terminal."""
+
+
+def parameter_words(
+    parser: Parser, parameters: Mapping[str, object], without: Collection[str] = ()
+) -> list[str]:
+    """Return the parameters of a node as arguments, to be put before those of the command line.
+
+    The parser has just read the command line. Parameters that it gives, too, are left out; only
+    lists get the values of both. Empty parameters, which a launch file may set, count as missing.
+
+    Args:
+        parser: Parser of the program.
+        parameters: Values by the names of the parameters.
+        without: Parameters that are left out: what the command line gives in another way.
+    """
+    actions = actions_by_parameter(parser)
+    words: list[str] = []
+    for name, value in parameters.items():
+        if isinstance(value, dict):  # of other nodes, in a namespace that has the node's name
+            continue
+        action = actions.get(name)
+        if action is None:
+            parser.error(f"there is no parameter ~{name}: parameters are called like options")
+        if action.dest in parser.given or action.dest in without:
+            continue
+        values = value if isinstance(value, list) else [value]
+        if not action.option_strings:
+            texts = str(value).split() if isinstance(value, str) else map(str, values)
+            words += ["--all" if text == "-a" else text for text in texts]
+        elif action.nargs == 0:
+            # --no-diagnostics and its like are given if the parameter is false.
+            try:
+                if truth(str(value)) != (action.const is False):
+                    words.append(action.option_strings[-1])
+            except InvalidOption as exc:
+                parser.error(f"parameter ~{name}: {exc}")
+        else:
+            words += [f"{action.option_strings[-1]}={text}" for text in values if text != ""]
+    return words
+
+
+def actions_by_parameter(parser: argparse.ArgumentParser) -> Mapping[str, argparse.Action]:
+    """Return the options of a parser by the names of their parameters."""
+    actions: dict[str, argparse.Action] = {}
+    for action in parser._actions:
+        if action.dest not in COMMAND_LINE_ONLY:
+            long = (text[2:] for text in action.option_strings if text.startswith("--"))
+            # A flag has one name: ~diagnostics, because ~no_diagnostics would mean the opposite.
+            names = () if action.nargs == 0 else (text.replace("-", "_") for text in long)
+            actions.update(dict.fromkeys((action.dest, *names), action))
+    return actions
