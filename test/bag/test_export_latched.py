@@ -221,3 +221,33 @@ def test_the_command_line_says_so(stored, tmp_path, capsys, cassandra):
     assert "not compared: 3 messages that the export took from before its window" in said
     said = run("export", out, "--start", "1500000005.0", "--no-latched", "-f")
     assert "latched" not in said and "6 messages of 2 topics" in said
+
+
+def test_windows_around_a_condition(stored, tmp_path, call):
+    """Around t3 and t4, which are one window, and t8: ticks, and what was latched before each."""
+    path = tmp_path / "around.bag"
+    where = "/tick: data = 't3' or data = 't4' or data = 't8'"
+    status, out, _ = call("export", str(path), "--around", where, "--before", "1", "--after", "0.5")
+    assert status == 0
+    ticks = [text for topic, _, text, *_ in lines(path) if topic == "/tick"]
+    assert ticks == ["t2", "t3", "t4", "t7", "t8"]
+    latched = [(topic, text) for topic, _, text, _, mark in lines(path) if mark]
+    assert ("/map", "m1") in latched and latched.count(("/tf_static", "arm")) == 1
+    assert "were latched before the time ranges" in out
+    around = (("/tick", ("data = ?", ["t8"])), 0, 0)
+    report = export_bag(stored, tmp_path / "b.bag", around=around, latched=False)
+    assert report.messages == {"/tick": 1}
+    for words, told in (
+        (("--around", "/tick: data = 'x'"), "nothing lies around one"),
+        (("--around", "/tock: data = 'x'"), "/tock"),
+        (("--around", "/tick"), "names no hits"),
+    ):
+        status, _, err = call("export", str(tmp_path / "c.bag"), *words)
+        assert (status, told in err) == (1, True), err
+    for words in (
+        ("--around", where, "--event", "e"),
+        ("--around", where, "--parquet"),
+        ("--before", "1"),
+    ):
+        assert call("export", str(tmp_path / "c.bag"), *words)[0] == 2
+    assert not (tmp_path / "c.bag").exists()

@@ -71,7 +71,7 @@ def test_info_draws_how_many_messages_came_when(call, three_topics):
     assert {topic: sum(counts) for topic, counts in lanes.items()} == dict.fromkeys(lanes, 2)
     behind = 3 * 10**9 // activity["step_ns"]
     assert [n for n, count in enumerate(lanes["/cam/left"]) if count] == [0, behind]
-    lines = call("info", "-e", "/cam/.*")[1].splitlines()
+    lines = call("info", "-v", "-e", "/cam/.*")[1].splitlines()
     head = next(n for n, line in enumerate(lines) if line.startswith("activity of"))
     assert lines[head].endswith("2001-09-09T01:46:40Z to 2001-09-09T01:46:44Z")
     assert lines[head + 1].split() == ["/cam/left", "-", "█", "█"]
@@ -89,7 +89,7 @@ def test_info_folds_decades_in_which_nothing_lies(call, tmp_path):
             writer.write(number, second * 10**9, string_wire("x"))
         writer.write(other, (later + 2) * 10**9, string_wire("x"))
     assert call("import", path, "-q") == (0, "", "")
-    lines = call("info")[1].splitlines()
+    lines = call("info", "-v")[1].splitlines()
     told = "duration:  56.0 years (1767225599s); without pauses of ten years or more 8.0s"
     assert told in lines
     head = next(n for n, line in enumerate(lines) if line.startswith("activity of"))

@@ -185,7 +185,9 @@ def test_info_says_what_rosbag_info_says(call, ros_env, bags):
     text = call("info", "--freq")[1]
     assert "duration:  38.0s" in text
     assert "start:     2013-05-08T14:06:20.007202774Z (1368021980.007202774)" in text
-    assert "types:     clearpath_base/DifferentialOutput [8f32685125452f5bdf68130369af5296]" in text
+    assert "clearpath_base/DifferentialOutput  [8f3" not in text
+    told = "clearpath_base/DifferentialOutput  [8f32685125452f5bdf68130369af5296]"
+    assert told in call("info", "-v")[1]
     header, *rows = table_of_topics(text)
     row = dict(zip(header, next(words for words in rows if words[0] == "/fix")))
     assert (row["messages"], row["rate"]) == ("95", f"{94 / span:.1f}")

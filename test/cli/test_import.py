@@ -227,6 +227,8 @@ def test_all_bags_of_a_folder(call, tmp_path):
         str(folder / "b.bag"),
     ]
     assert f"{folder / 'b.bag'}: 1 message of 1 topic is in keyspace" in out
+    assert "no robot was named" in out
+    assert "no robot was named" not in call("import", folder, "--node-id", "husky")[1]
     assert "/c" not in call("list")[1]
     found = json.loads(call("import", folder, "-r", "--salvage", "--json")[1])
     files = [str(folder / name) for name in ("A.BAG", "b.bag", "d.bag.active", "inner/c.bag")]

@@ -53,7 +53,7 @@ def test_runs_are_listed(store, call):
     status, out, err = call("runs")
     lines = [line.split() for line in out.splitlines()]
     assert (status, err) == (0, "")
-    header = "run id robot kind start end state messages lost labels"
+    header = "run id robot kind first last state messages lost labels"
     assert lines[0] == header.split()
     found = [(line[0], line[1], line[2], line[6], line[7]) for line in lines[-2:]]
     assert found == [

@@ -408,18 +408,19 @@ def add_event_options(parser: argparse._ActionsContainer, what: str = "") -> Non
     text = f"{what}only messages of a robot during its events of this name (default: of all time)"
     add("--event", metavar="NAME", help=text)
     text = f"{what}with --event: time before each event, as 5s or 2m (default: 0)"
-    add("--before", metavar="SEC", type=exact_seconds, default=0.0, help=text)
+    add("--before", metavar="SEC", type=exact_seconds, help=text)
     text = f"{what}with --event: time after each event (default: 0)"
-    add("--after", metavar="SEC", type=exact_seconds, default=0.0, help=text)
+    add("--after", metavar="SEC", type=exact_seconds, help=text)
 
 
 def read_event(options: argparse.Namespace) -> EventRule:
     """Return the events that --event, --before and --after choose; None = --event is missing."""
-    if options.event is None:
-        if options.before or options.after:
-            options.parser.error("--before and --after go with --event")
-        return None
-    return options.event, options.before, options.after
+    if options.event is not None:
+        return options.event, options.before or 0.0, options.after or 0.0
+    if (options.before or options.after) and getattr(options, "around", None) is None:
+        also = " or --around" if hasattr(options, "around") else ""
+        options.parser.error(f"--before and --after go with --event{also}")
+    return None
 
 
 def add_origin_options(parser: argparse.ArgumentParser) -> None:

@@ -308,9 +308,13 @@ class RosCassandra:
         """
         return InfoList(self.catalog.infos(topics, nodeID, run))
 
-    def runs(self) -> RunList:
-        """Return the recordings and imports, with their present state, counts and losses."""
-        return RunList(list_runs(self.catalog.keyspace, self.catalog.tables(None)))
+    def runs(self, *, times: bool = False) -> RunList:
+        """Return the recordings and imports, with their present state, counts and losses.
+
+        Args:
+            times: Whether the times of their first and last messages are looked up, too.
+        """
+        return RunList(list_runs(self.catalog.keyspace, self.catalog.tables(None), times))
 
     def runContext(self, run: RunName) -> RunContext | None:
         """Return parameters and node graph at the start of a run; None if they were not stored.

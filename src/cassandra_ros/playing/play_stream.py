@@ -30,52 +30,15 @@ from cassandra_ros.playing.played_store import PlayedRow, PlayedStore
 from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store.tables.registry import Loss
-from cassandra_ros.topics.event_finder import EventChoice, merge_windows
+from cassandra_ros.topics.event_finder import EventChoice, WindowRule, merge_windows
 from cassandra_ros.topics.overview.latched_messages import LatchedRecord, Source, is_latched
 from cassandra_ros.topics.overview.stored_ends import far_outside
-from cassandra_ros.topics.row_finder import Where
 
 _log = logging.getLogger(__name__)
 
 _MOST_WINDOWS = 100
 """Maximum number of windows that are searched for a message of a topic. If the first ones have
 none, the topic is advertised all the same."""
-
-
-class WindowRule(NamedTuple):
-    """The messages around which windows are played (hits), and the lengths of a window."""
-
-    topic: str
-    condition: Where
-    before: int
-    """Length of a window before a hit, ns."""
-    after: int
-    """Length of a window after a hit, ns."""
-
-    @classmethod
-    def of(cls, around: object, before: object, after: object) -> WindowRule | None:
-        """Read the options around ('TOPIC: condition' or a pair), before and after (seconds).
-
-        Returns:
-            None if ``around`` is not given.
-
-        Raises:
-            InvalidOption: One of the options cannot be read.
-        """
-        reach = check_length("before", before), check_length("after", after)
-        if around is None:
-            return None
-        pair = around.split(":", 1) if isinstance(around, str) else around
-        if isinstance(pair, (tuple, list)) and len(pair) == 2 and isinstance(pair[0], str):
-            topic, condition = pair[0].strip(), pair[1]
-            if isinstance(condition, str):
-                condition = condition.strip()
-            if topic and condition:
-                return cls(topic, condition, reach[0] or 0, reach[1] or 0)
-        raise InvalidOption(
-            f"around {around!r:.80} names no hits: write 'TOPIC: condition', for example "
-            "'/battery: voltage < 11.0'"
-        )
 
 
 _Timed = Tuple[int, PlayedRow]
@@ -140,7 +103,8 @@ class PlayStream:
         if end is not None and selection.duration is not None:
             raise InvalidOption("an end and a duration were given: give one of them")
         length = check_length("duration", selection.duration)
-        self._around = WindowRule.of(selection.around, selection.before, selection.after)
+        reach = check_length("before", selection.before), check_length("after", selection.after)
+        self._around = WindowRule.of(selection.around, reach[0] or 0, reach[1] or 0)
         self._event = EventChoice.of(selection.event)
         if self._event is not None and self._around is not None:
             raise InvalidOption("an event and around were given: give one of them")

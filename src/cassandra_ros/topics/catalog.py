@@ -22,6 +22,7 @@ from cassandra_ros.errors import (
     DefinitionError,
     InvalidName,
     InvalidOption,
+    MessageNotFound,
     TopicExists,
     TopicNotFound,
 )
@@ -36,7 +37,7 @@ from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.tables.directory import STALE_SEC
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.event_finder import EventChoice, EventRule
+from cassandra_ros.topics.event_finder import EventChoice, EventRule, WindowRule, merge_windows
 from cassandra_ros.topics.event_times import Reads
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace
@@ -323,6 +324,25 @@ class Catalog:
         if choice is None:
             return Reads(whole, [whole])
         return Reads(whole, self.keyspace.events.chosen(choice, whole).reads(whole))
+
+    def reads_around(self, whole: Read, rule: WindowRule) -> Reads:
+        """Return the reads around the messages that satisfy a rule, by receive time.
+
+        Raises:
+            MessageNotFound: No message satisfies it.
+            TopicNotFound, InvalidQuery: The topic is not stored, or the condition is not valid.
+        """
+        name = self.get(rule.topic).name
+        hits = self.read([name], whole, {name: rule.condition}, received=True)
+        times = (row.received for row in hits)
+        windows = merge_windows(times, rule.before, rule.after, whole.time_range)
+        parts = [replace(whole, time_range=window) for window in windows]
+        if not parts:
+            raise MessageNotFound(
+                f"no message of topic {name} of this time, robot and run satisfies "
+                f"{rule.condition!r:.200}: nothing lies around one"
+            )
+        return Reads(whole, parts)
 
     def whose(self, node: str | None, run: RunName) -> Whose:
         """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName.

@@ -8,7 +8,18 @@ import difflib
 from dataclasses import replace
 from itertools import islice
 from numbers import Integral
-from typing import Any, Iterable, Iterator, Mapping, NamedTuple, Sequence, Tuple, TypeVar, Union
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Iterable,
+    Iterator,
+    Mapping,
+    NamedTuple,
+    Sequence,
+    Tuple,
+    TypeVar,
+    Union,
+)
 
 from cassandra_ros.arguments import (
     check_event_name,
@@ -27,11 +38,17 @@ from cassandra_ros.store.tables.event_table import ALL_NAMES, Event, EventTable,
 from cassandra_ros.topics.event_times import EventTimes, merged_events
 from cassandra_ros.topics.run_finder import RunName, Runs
 
+if TYPE_CHECKING:
+    from cassandra_ros.topics.row_finder import Where
+
 _E = TypeVar("_E")
 
 EventRule = Union[None, str, Tuple[str, Length, Length]]
 """Messages during the events of a name: the name, or (name, before, after) with the time before
 and after each event, seconds or a Duration. None = messages of all time."""
+AroundRule = Union[None, Tuple[Union[str, Tuple[str, Any]], Length, Length]]
+"""Messages around those of a topic that satisfy a condition: ('TOPIC: condition', before, after),
+the times in seconds or as Durations. None = messages of all time."""
 MOST_EVENTS = 100_000
 """Maximum number of events whose time ranges are read together."""
 _MOST_LOOKED_AT = 10_000
@@ -58,6 +75,38 @@ class EventChoice(NamedTuple):
         if isinstance(rule, (tuple, list)) and len(rule) == 3:
             return cls(check_event_name(rule[0]), duration_ns(rule[1]), duration_ns(rule[2]))
         return cls(check_event_name(rule))
+
+
+class WindowRule(NamedTuple):
+    """The messages around which windows are read (hits), and the lengths of a window."""
+
+    topic: str
+    condition: Where
+    before: int
+    """Length of a window before a hit, ns."""
+    after: int
+    """Length of a window after a hit, ns."""
+
+    @classmethod
+    def of(cls, around: object, before: int, after: int) -> WindowRule | None:
+        """Read 'TOPIC: condition', or a pair of both; None if it is None.
+
+        Raises:
+            InvalidOption: It cannot be read.
+        """
+        if around is None:
+            return None
+        pair = around.split(":", 1) if isinstance(around, str) else around
+        if isinstance(pair, (tuple, list)) and len(pair) == 2 and isinstance(pair[0], str):
+            topic, condition = pair[0].strip(), pair[1]
+            if isinstance(condition, str):
+                condition = condition.strip()
+            if topic and condition:
+                return cls(topic, condition, before, after)
+        raise InvalidOption(
+            f"around {around!r:.80} names no hits: write 'TOPIC: condition', for example "
+            "'/battery: voltage < 11.0'"
+        )
 
 
 class Events:
@@ -111,6 +160,11 @@ class Events:
     def remove(self, event: Event | str) -> None:
         """Delete an event; raises like ``get``."""
         self._table.remove(self.get(event))
+
+    def move(self, event: Event, node: str) -> None:
+        """Give an event another robot; its key stays."""
+        self._table.put(replace(event, node=node))
+        self._table.remove(event)
 
     def get(self, event: Event | str) -> Event:
         """Return a stored event by itself or by its key.

@@ -22,8 +22,8 @@ from cassandra_ros.store.tables.registry import Loss, Registry, Run
 _log = logging.getLogger(__name__)
 
 RunName = Union[None, str, int, FrozenSet[int]]
-"""A run's name, its writer id as a number or text, the path of the file from which it was imported,
-or a set of writer ids; None = all runs."""
+"""A run's name, its writer id as a number or text, the path of the file from which it was imported
+or of the folder of such files, or a set of writer ids; None = all runs."""
 _MOST_NAMED = 3
 """Maximum number of runs named in a text."""
 RUN_NAME_CACHE_SEC = 5.0
@@ -76,6 +76,7 @@ class Runs:
             [other for other in every if other.name == run and run],
             [other for other in every if str(other.writer) == text],
             [other for other in every if os.sep in text and other.source == _absolute(text)],
+            [other for other in every if os.sep in text and _folder(other) == _absolute(text)],
         ):
             if matches:
                 return matches
@@ -229,6 +230,11 @@ def _similar(name: str, names: Collection[str], what: str) -> str:
 def _absolute(path: str) -> str:
     """Return the path of a file as it is stored with its run."""
     return os.path.abspath(path) if "\0" not in path else path
+
+
+def _folder(run: Run) -> str:
+    """Return the folder of the file from which a run was imported; '' = it was recorded."""
+    return os.path.dirname(run.source) if run.kind == "import" else ""
 
 
 def _began(run: Run) -> datetime:

@@ -31,21 +31,29 @@ class _StoredCounts:
     """Time since its last heartbeat of a bucket, s."""
 
 
-def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> list[Run]:
+def list_runs(space: Keyspace, tables: Sequence[TopicTable], times: bool = False) -> list[Run]:
     """Return the runs with their state; for those that have not ended messages are counted.
 
     A run without a sign of life for STALE_SEC is interrupted.
+
+    Args:
+        times: Whether the times of their first and last messages are looked up.
     """
     runs, signs = space.registry.runs(), space.registry.signs()
     open_writers = frozenset(run.writer for run in runs if not _has_ended(run))
     counts: dict[int, _StoredCounts] = {}
     if open_writers:
         counts = followed(tables, lambda now: _count_stored(space.directory, now, open_writers))
+    extents: dict[int, tuple[int, int]] = {}
+    if times:
+        extents = followed(tables, lambda now: _extents(space.directory, now))
     lost: dict[int, Counts[str]] = {}
     for loss in space.registry.losses() if open_writers else ():
         lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count
     answer: list[Run] = []
-    for run in runs:
+    for stored_run in runs:
+        first, last = extents.get(stored_run.writer, (None, None))
+        run = replace(stored_run, first_ns=first, last_ns=last)
         sign = signs.get((run.writer, run.node), SignOfLife(math.inf, False))
         if _has_ended(run):
             answer.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
@@ -62,6 +70,18 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> list[Run]:
 def _has_ended(run: Run) -> bool:
     # An import that is repeated has its new start beside its old end.
     return run.ended is not None and (run.started is None or run.started <= run.ended)
+
+
+def _extents(directory: Directory, tables: Sequence[TopicTable]) -> dict[int, tuple[int, int]]:
+    """Return the times of the first and the last message by writer, ns."""
+    extents: dict[int, tuple[int, int]] = {}
+    for table in tables:
+        rows = [] if table.named else buckets_of(directory, table)
+        for row in recount_open_buckets(directory, table, rows):
+            if row.rows:
+                first, last = extents.get(row.writer, (row.t_min, row.t_max))
+                extents[row.writer] = min(first, row.t_min), max(last, row.t_max)
+    return extents
 
 
 def _count_stored(

@@ -4,6 +4,7 @@
 
   cassandra_bag export corridor.bag --run corridor
   cassandra_bag export scans.mcap --topics /scan /tf --start 2013-05-08T14:06:20Z
+  cassandra_bag export low.bag --around '/battery: voltage < 11' --before 1m
   cassandra_bag export ~/lake --parquet
 
 It is an MCAP if OUT ends with .mcap. Messages are written in the order of their times. Connections
@@ -11,10 +12,10 @@ keep topic, header and number, so the messages of an imported bag keep their ord
 seconds (1368021980.25), ISO 8601 (UTC unless a zone is given), or nanoseconds (13 digits or more).
 If there are no messages, no bag is written, and an existing one is kept.
 
-With --start, and in each time range of --event, the bag begins with the messages that were latched
-before (/tf_static, say): the last one of each latching publisher in the exported recordings, as far
-as it has changed since. Their time in the bag is the start; the field latched_from of their
-connection's header holds their receive time in nanoseconds.
+With --start, and in each time range of --event or --around, the bag begins with the messages that
+were latched before (/tf_static, say): the last one of each latching publisher in the exported
+recordings, as far as it has changed since. Their time in the bag is the start; the field
+latched_from of their connection's header holds their receive time in nanoseconds.
 
 An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. It also holds connection
 headers and events; cassandra_bag import restores all of it.
@@ -53,6 +54,7 @@ from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.files.bag.exporter import ExportReport
+    from cassandra_ros.topics.event_finder import AroundRule
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,12 +72,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "write whole topics as Parquet files, in the folder OUT"
     add("--parquet", action="store_true", help=text)
     add_message_options(parser)
+    text = (
+        "only messages from 5 s before to 10 s after those of TOPIC that satisfy CONDITION, or "
+        "from --before to --after (default: of all time)"
+    )
+    add("--around", metavar="'TOPIC: CONDITION'", help=text)
     add(
         "--no-latched",
         dest="latched",
         action="store_false",
-        help="leave out messages that were latched before; needed with --store and --start or "
-        "--event",
+        help=Rare(
+            "leave out messages that were latched before; needed with --store and --start or "
+            "--event"
+        ),
     )
     packing = parser.add_mutually_exclusive_group()
     packing.add_argument(
@@ -88,8 +97,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--compression",
         choices=("none", "bz2", "lz4", "zstd"),
         metavar="NAME",
-        help="none or lz4, for a bag also bz2, for an MCAP also zstd (default: none for a bag, "
-        "zstd for an MCAP)",
+        help=Rare(
+            "none or lz4, for a bag also bz2, for an MCAP also zstd (default: none for a bag, "
+            "zstd for an MCAP)"
+        ),
     )
     add("-f", "--force", action="store_true", help="replace OUT.bag if it exists")
     add("-q", "--quiet", action="store_true", help="print errors only")
@@ -103,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.files.bag.exporter import export_bag
 
     where, (start, end) = read_where(options), read_times(options)
-    event = read_event(options)
+    event, around = read_event(options), _around(options)
     path, begun = _path(options), time.monotonic()
     if options.parquet:
         return write_folder(options, path)
@@ -126,16 +137,29 @@ def run(options: argparse.Namespace) -> int:
             latched=options.latched,
             run=options.run,
             event=event,
+            around=around,
         )
     _tell(options, report, begun)
     return 0
+
+
+def _around(options: argparse.Namespace) -> AroundRule:
+    """Return what --around, --before and --after choose."""
+    if options.around is None:
+        return None
+    if options.event is not None:
+        options.parser.error("--around and --event choose times: give one of them")
+    if options.parquet or options.stores:
+        options.parser.error("--around is for a bag or an MCAP of one store")
+    before, after = options.before, options.after
+    return options.around, 5.0 if before is None else before, 10.0 if after is None else after
 
 
 def _tell(options: argparse.Namespace, report: ExportReport, begun: float) -> None:
     if options.json:
         print_json(report)
     elif not options.quiet:
-        since = None if options.event else options.start
+        since = None if options.event or options.around else options.start
         _print_report(report, since, time.monotonic() - begun)
 
 
@@ -186,7 +210,7 @@ def _print_report(report: ExportReport, start: str | None, seconds: float) -> No
         print(format_table(("topic", "messages"), rows, right=("messages",)))
     early = sum(report.latched.values())
     if early:
-        begin = start or "the time ranges of the events"
+        begin = start or "the time ranges"
         place = start or "the start of a time range"
         print(f"{early} of these were latched before {begin}; their time in the file is {place}")
     print(

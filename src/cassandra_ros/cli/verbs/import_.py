@@ -272,6 +272,11 @@ def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> No
             for outcome in outcomes
         ]
         header = ("file", "messages", "lost", "state")
+        if not options.node_id:
+            print(
+                "\nno robot was named: 'cassandra_bag runs set FILE.bag|FOLDER --node-id NAME' "
+                "names that of these messages, 'import --node-id NAME' that of the next ones"
+            )
         print("\n" + format_table(header, rows, right=("messages", "lost")))
 
 

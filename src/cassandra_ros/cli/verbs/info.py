@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Describe a keyspace as rosbag info describes a bag: duration, times, sizes, types, and topics.
+"""Describe a keyspace as rosbag info describes a bag: duration, times, sizes, and topics.
 
   cassandra_bag info
+  cassandra_bag info -v
   cassandra_bag info /tf -e '/camera/.*'
   cassandra_bag info -y -k duration
   cassandra_bag info --all
@@ -12,12 +13,14 @@ command takes as long for a hundred million messages as for a thousand. Times ar
 UTC, and in brackets in seconds since 1970; --start and --end of other verbs accept both. The rate
 is the mean over the buckets with messages (in rosbag: the median); pauses inside a bucket lower it.
 
-If the keys of a topic are not receive times, the last column says what they are. Below, a line of
-bars for each topic and robot shows the number of messages over time; the highest bar is the
-maximum. A pause of ten years or more is shown as //, and each part then has its own maximum. The
-directory counts by buckets, so the messages of a bucket are drawn as if evenly spread. Then follow
-the messages that were lost, with the reason, also of topics that are not stored, and the latest
+If the keys of a topic are not receive times, the last column says what they are. Then follow the
+messages that were lost, with the reason, also of topics that are not stored, and the latest
 recordings and imports.
+
+With -v the types follow with their md5sums, and a line of bars for each topic and robot, which
+shows the number of messages over time; the highest bar is the maximum. A pause of ten years or more
+is shown as //, and each part then has its own maximum. The directory counts by buckets, so the
+messages of a bucket are drawn as if evenly spread.
 
 YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics),
 and keyspace, start_ns, end_ns, losses and runs. JSON also has activity: the numbers of messages per
@@ -66,7 +69,8 @@ if TYPE_CHECKING:
 
 _HEADER = ("topic", "type", "format", "node", "messages", "rate", "size", "first", "last", "bucket")
 _RIGHT = ("messages", "rate", "size", "bucket")
-_RUNS_SHOWN = 20
+_RUNS_SHOWN = 5
+"""Maximum number of runs that are shown without -v."""
 _SAMPLED = 10_000
 """Number of first messages of each topic and robot from which connections and frequency follow."""
 _CELLS = 60
@@ -120,6 +124,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "list the keyspaces of the cluster that hold topics, in place of the topics of one"
     parser.add_argument("--all", action="store_true", help=text)
     add_origin_options(parser)
+    text = "show also the types, the number of messages over time, and all runs"
+    parser.add_argument("-v", "--verbose", action="store_true", help=text)
     form = parser.add_mutually_exclusive_group()
     form.add_argument("-y", "--yaml", action="store_true", help="print information in YAML format")
     add_json_option(form)
@@ -151,7 +157,6 @@ def run(options: argparse.Namespace) -> int:
     if description.infos:
         print()
         _print_topics(description.infos)
-        _print_activity(description.eras)
     if description.losses:
         print()
         columns = ("lost of topic", "node", "run", "messages", "from", "to", "why")
@@ -159,11 +164,16 @@ def run(options: argparse.Namespace) -> int:
         print(format_table(columns, rows, right=("messages",)))
     if description.runs and not options.topics:
         print()
-        rows = [_run_row(run) for run in description.runs[-_RUNS_SHOWN:]]
+        latest = description.runs if options.verbose else description.runs[-_RUNS_SHOWN:]
         columns = ("run", "kind", "node", "started", "state", "messages", "lost")
-        print(format_table(columns, rows, right=("messages", "lost")))
-        if len(description.runs) > _RUNS_SHOWN:
-            print(f"… and {len(description.runs) - _RUNS_SHOWN} earlier ones")
+        print(format_table(columns, list(map(_run_row, latest)), right=("messages", "lost")))
+        if len(description.runs) > len(latest):
+            print(f"… and {len(description.runs) - len(latest)} earlier ones: -v shows all")
+    if options.verbose and description.infos:
+        print()
+        types = [(shown(name), f"[{shown(md5sum)}]") for name, md5sum in description.types]
+        print(format_table(("type", "md5sum"), types))
+        _print_activity(description.eras)
     return 0
 
 
@@ -220,7 +230,7 @@ def _find(options: argparse.Namespace) -> _Description:
         topics = stored_topics(ros_cas.catalog, options)
         infos = ros_cas.info(topics, **selection)
         losses = ros_cas.losses(topics, **selection)
-        runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
+        runs = sorted(ros_cas.runs(times=True), key=lambda run: str(run.started))
         whose = ros_cas.catalog.whose(options.node_id, options.run)
         view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
         timeline = Timeline(ros_cas.catalog)
@@ -273,10 +283,6 @@ def _print_summary(description: _Description) -> None:
             print(f"{name + ':':<10} {iso_time(ns)} ({ns // SECOND_NS}.{ns % SECOND_NS:09d})")
     print(f"size:      {format_bytes(description.bytes)}")
     print(f"messages:  {description.messages} of {counted(len(names), 'topic')}")
-    types = [(shown(name), shown(md5sum)) for name, md5sum in description.types]
-    width = max((len(name) for name, _ in types), default=0)
-    for number, (name, md5sum) in enumerate(types):
-        print(f"{'' if number else 'types:':<10} {name:<{width}} [{md5sum}]")
 
 
 def _print_topics(infos: list[TopicInfo]) -> None:

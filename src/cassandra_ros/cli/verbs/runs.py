@@ -1,16 +1,25 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""List recordings and imports, or print the ROS parameters of one, or set them on the master.
+"""List recordings and imports, rename them, or print the ROS parameters of one.
 
   cassandra_bag runs
+  cassandra_bag runs set monday.bag --name corridor --node-id husky --label site=lab
+  cassandra_bag runs set ~/bags/ --node-id husky
   cassandra_bag runs --params corridor > params.yaml
   cassandra_bag runs --params corridor --namespace /move_base --load
   cassandra_bag runs --params corridor --graph
 
 The column run shows the value for --run: a name, which several runs may have, or the writer id of a
-run without name. The column id always shows the writer id. Start and end are the times of recording
-or import, in UTC. A run that has not ended, and has given no sign of life for a minute, is shown as
+run without name. The column id always shows the writer id. First and last are the times of its
+first and last message, in UTC: when the drive was; --json also has the times of recording or
+import. A run that has not ended, and has given no sign of life for a minute, is shown as
 interrupted; its stored messages are counted.
+
+'runs set RUN' gives a run that has ended another name, robot or labels. RUN is a name, a writer
+id, or the path of an imported bag or of a folder of such bags; it may mean several runs. For
+another robot the topics of the run are copied within the store, while other programs go on reading
+them: it takes as long as converting them, and as much disk space. If it was killed, the same
+command goes on.
 
 --params prints the parameters that the parameter server had when a recording began, as YAML, in the
 form that rosparam load reads. --load sets each of them on the running parameter server; other
@@ -22,25 +31,42 @@ from __future__ import annotations
 
 import argparse
 from datetime import datetime
-from typing import TYPE_CHECKING, Iterator, Mapping
+from typing import TYPE_CHECKING, Iterator, Mapping, Sequence
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
-from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.terminal_text import format_table
+from cassandra_ros.cli.options import add_store_options, open_store, read_pairs
+from cassandra_ros.cli.terminal_text import MessageBar, format_table
+from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.errors import InvalidOption, MessageNotFound
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
+from cassandra_ros.recording.option_values import read_label
 
 if TYPE_CHECKING:
     from cassandra_ros.store.tables.context_blob import Graph, NodeGraph, RunContext
     from cassandra_ros.store.tables.registry import Run
 
-_HEADER = ("run", "id", "robot", "kind", "start", "end", "state", "messages", "lost", "labels")
+_HEADER = ("run", "id", "robot", "kind", "first", "last", "state", "messages", "lost", "labels")
+_OF_SET = ("new_name", "node_id", "label", "remove_label", "quiet")
+_OF_PARAMS = ("name", "load", "graph", "namespace")
 MASTERS_OWN = ("/rosdistro", "/rosversion", "/run_id", "/roslaunch")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the run whose parameters are asked for, the form of the answer, and the store."""
     add = parser.add_argument
+    text = "change runs (default: list all runs)"
+    add("action", metavar="set", nargs="?", choices=("set",), help=text)
+    text = "with set: the run to change (default: none)"
+    add("run", metavar="RUN", nargs="?", help=text)
+    add("--name", dest="new_name", metavar="NAME", help="with set: the new name (default: the old)")
+    text = "with set: the robot that was recorded (default: the old)"
+    add("--node-id", metavar="N", help=text)
+    text = "with set: add a label, or replace its text; may be repeated"
+    add("--label", metavar="K=V", type=read_label, action="append", default=[], help=text)
+    text = "with set: remove this label; may be repeated"
+    add("--remove-label", metavar="K", action="append", default=[], help=text)
+    add("-q", "--quiet", action="store_true", help="with set: print errors only")
     text = "print the ROS parameters of this run, a name or a writer id (default: list the runs)"
     add("--params", dest="name", metavar="RUN", help=text)
     what = parser.add_mutually_exclusive_group()
@@ -56,20 +82,54 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print a line for each run, the oldest first, or do what --params says."""
+    if options.action is not None:
+        return _set(options)
+    options.parser.refuse_options(options, _OF_SET, "{} goes with 'runs set RUN'")
     if options.name is not None:
         return _tell_params(options)
     if options.load or options.graph or options.namespace != "/":
         options.parser.error("--load, --graph and --namespace go with --params RUN")
     with open_store(options) as ros_cas:
-        runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
+        runs = sorted(ros_cas.runs(times=True), key=lambda run: str(run.started))
     if options.json:
         # Without the labels that an import adds for its own use.
         print_json([{**vars(run), "labels": run.public_labels} for run in runs])
     elif runs:
-        print(format_table(_HEADER, [_row(run) for run in runs], right=("messages", "lost")))
+        print(_table(runs))
     else:
         print(f"keyspace {options.keyspace} holds no run")
     return 0
+
+
+def _set(options: argparse.Namespace) -> int:
+    """Give runs another name, robot or labels, and print them."""
+    labels: dict[str, str | None] = dict(read_pairs(options, "--label", options.label))
+    labels.update(dict.fromkeys(options.remove_label))
+    is_empty = options.new_name is None and options.node_id is None and not labels
+    if options.run is None or is_empty:
+        options.parser.error("say what is to be set: runs set RUN --name, --node-id or --label")
+    options.parser.refuse_options(options, _OF_PARAMS, "{} does not go with set")
+    run, options.run = options.run, None  # open_store would say that a name means several runs
+    with open_store(options) as ros_cas, MessageBar("moving messages") as bar, SafeInterrupt(
+        ros_cas.cassandra.outage
+    ) as stop:
+
+        def progress(topic: str, done: int, total: int) -> None:
+            bar.reach(done, total)
+            stop.check()
+
+        runs = ros_cas.upkeep.setRuns(
+            run, name=options.new_name, nodeID=options.node_id, labels=labels, progress=progress
+        )
+    if options.json:
+        print_json([{**vars(run), "labels": run.public_labels} for run in runs])
+    elif not options.quiet:
+        print(_table(runs))
+    return 0
+
+
+def _table(runs: Sequence[Run]) -> str:
+    return format_table(_HEADER, [_row(run) for run in runs], right=("messages", "lost"))
 
 
 def _row(run: Run) -> tuple[str, ...]:
@@ -78,8 +138,8 @@ def _row(run: Run) -> tuple[str, ...]:
         str(run.writer),
         shown(run.node) or "-",
         run.kind,
-        time_of(run.started),
-        time_of(run.ended),
+        _second(run.first_ns),
+        _second(run.last_ns),
         run.state,
         str(sum(run.stored.values())),
         str(sum(run.lost.values())),
@@ -96,6 +156,11 @@ def _labels(labels: Mapping[str, str]) -> str:
 def time_of(when: datetime | None) -> str:
     """Return a time of a run as text, in UTC; '-' for None."""
     return "-" if when is None else f"{when:%Y-%m-%dT%H:%M:%SZ}"
+
+
+def _second(ns: int | None) -> str:
+    """Return the second in which a time lies; '-' for None."""
+    return "-" if ns is None else f"{iso_time(ns)[:19]}Z"
 
 
 def _tell_params(options: argparse.Namespace) -> int:

@@ -11,19 +11,19 @@ from itertools import chain, islice
 from typing import Iterable, Iterator, Mapping, Sequence, Union
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.errors import BagError, MessageNotFound
+from cassandra_ros.errors import BagError, InvalidOption, MessageNotFound
 from cassandra_ros.files.bag.file_formats import make_file
 from cassandra_ros.files.bag.file_writer import FileWriter
 from cassandra_ros.files.bag.message_file import MessageProgress
 from cassandra_ros.files.bag.publish_times import PublishTimeFinder
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.messages.stamps import Time, iso_time
+from cassandra_ros.messages.stamps import Time, duration_ns, iso_time
 from cassandra_ros.read import LAST_NS, Nodes, TimeRange, Whose
 from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.stores.fleet.fleet_row import FleetRow
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.event_finder import EventRule
+from cassandra_ros.topics.event_finder import AroundRule, EventRule, WindowRule
 from cassandra_ros.topics.event_times import Reads
 from cassandra_ros.topics.overview.latched_messages import LatchedFinder, LatchedRecord, tests_of
 from cassandra_ros.topics.row_finder import Filter
@@ -74,6 +74,7 @@ def export_bag(
     latched: bool = True,
     event: EventRule = None,
     event_nodes: Nodes = None,
+    around: AroundRule = None,
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0, or into an MCAP.
 
@@ -108,6 +109,8 @@ def export_bag(
         event: Only messages of a robot during its events, as in readMessages.
         event_nodes: Robots whose events are written, where ``where`` selects several; None = those
             of nodeID. Events of no robot are written, too.
+        around: Only messages around those of a topic that satisfy a condition: ('TOPIC: condition',
+            before, after), the times in seconds or as Durations. Not together with ``event``.
 
     Raises:
         MessageNotFound: There are no messages to export. No file is created or replaced.
@@ -123,7 +126,12 @@ def export_bag(
     catalog = ros_cas.catalog
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
     reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, run), event)
-    early = latched and (start is not None or event is not None)
+    if around is not None:
+        if event is not None:
+            raise InvalidOption("an event and around were given: give one of them")
+        rule = WindowRule.of(around[0], *map(duration_ns, around[1:]))
+        reads = reads if rule is None else catalog.reads_around(reads.whole, rule)
+    early = latched and (start is not None or event is not None or around is not None)
     rows = _find_rows(catalog, names, reads, where, early)
     report = ExportReport(os.fspath(path))
     first = list(islice(rows, 1))

@@ -20,7 +20,8 @@ from cassandra_ros.store.connection.cassandra import CqlRow
 from cassandra_ros.store.tables.context_blob import RunContext, decode_context, encode_context
 from cassandra_ros.store.tables.side_tables import SideTables
 
-_OWN_LABELS = ("content",)
+OWN_LABELS = ("content",)
+"""Labels by which an import finds its run again."""
 
 
 class StoredHeader(NamedTuple):
@@ -56,11 +57,15 @@ class Run:
 
     state: str = "ended"
     """'recording' (imports too), 'ended', or 'interrupted': the run was killed or failed."""
+    first_ns: int | None = None
+    last_ns: int | None = None
+    """Key times of its first and last message, ns; None = it has none with a time, or they were not
+    asked for."""
 
     @property
     def public_labels(self) -> dict[str, str]:
         """Labels that users gave, without those by which an import finds its run again."""
-        return {name: text for name, text in self.labels.items() if name not in _OWN_LABELS}
+        return {name: text for name, text in self.labels.items() if name not in OWN_LABELS}
 
     def __repr__(self) -> str:
         start, end = (f"{t:%Y-%m-%dT%H:%M:%SZ}" if t else "?" for t in (self.started, self.ended))
@@ -71,7 +76,7 @@ class Run:
         return f"<Run {self.name!r} {self.writer}: {', '.join(filter(None, parts))}>"
 
 
-_RUN = tuple(f.name for f in fields(Run) if f.name != "state")
+_RUN = tuple(f.name for f in fields(Run) if f.name not in ("state", "first_ns", "last_ns"))
 
 
 class SignOfLife(NamedTuple):
@@ -117,6 +122,8 @@ class Loss:
 
 
 _HEADER = ("tbl", "conn", "def_hash", "topic", "number", "header", "def_offset", "md5sum")
+_OF_RUN = {"cr_context": ("heartbeat", "interrupted", "context"), "cr_sent": ("stripe", "sent")}
+"""Tables with further rows of a run, and their columns beside writer and node."""
 _LOSS = "node, writer, kind, first, last, n"
 
 
@@ -252,6 +259,21 @@ class Registry:
         now = ["heartbeat"] + ["interrupted"] * interrupted
         columns = {"writer": writer, "node": node}
         self._tables.insert("cr_context", columns, "noting that the run goes on", now=now)
+
+    def move_run(self, run: Run, node: str) -> None:
+        """Give a run another robot: with its context, send times and losses. It can be repeated."""
+        place, what = (run.writer, run.node), "giving a run another robot"
+        for table, names in _OF_RUN.items():
+            columns = ", ".join(names)
+            where = "writer = ? AND node = ?"
+            for row in self._tables.select(table, columns, where, place, what=what):
+                values = {n: value for n, value in zip(names, row) if value is not None}
+                self._tables.insert(table, {"writer": run.writer, "node": node, **values}, what)
+        losses = [x for x in self.losses() if (x.writer, x.node) == place]
+        for loss in losses:
+            self.put_loss(replace(loss, node=node))
+        self.put_run(replace(run, node=node))
+        self.forget_run(*place, {loss.topic for loss in losses})
 
     def forget_run(self, writer: int, node: str, topics: Iterable[str]) -> None:
         """Delete a run whose messages were deleted, its context, and its losses of some topics."""

@@ -8,5 +8,6 @@ deletes by time, robot, run and condition. Both delete through topics/removal.py
 directory first, then deletes rows and their chunks. ``store_check`` reads everything back, compares
 it with checksums, zones and the directory, and repairs. ``conversion`` copies a topic into a table
 of another format (``table_copy``); one change of that table's comment puts it in the place of the
-old ones, while readers go on (topics/row_reader.py).
+old ones, while readers go on (topics/row_reader.py). ``run_changes`` gives runs another name or
+labels, and another robot by such a copy.
 """

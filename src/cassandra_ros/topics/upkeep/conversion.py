@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Dict, Iterator, Sequence, Tuple
@@ -21,10 +22,11 @@ from cassandra_ros.errors import (
     AccessDenied,
     CassandraRosError,
     DefinitionError,
+    InvalidName,
     SchemaConflict,
     TopicNotFound,
 )
-from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.keys import SECOND_NS, writer_of
 from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.metadata import Kind, TopicMetadata
 from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
@@ -38,7 +40,7 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed, planner
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.upkeep.table_copy import Progress, TableCopy
+from cassandra_ros.topics.upkeep.table_copy import NewRobots, Progress, TableCopy
 
 _log = logging.getLogger(__name__)
 
@@ -120,9 +122,49 @@ def convert_topic(
     _await_writers(space, topic, [old for plan in plans for old in plan.olds])
     _forget_left(space, topic)
     for plan in plans:
-        report.messages += Conversion(space, plan, progress).run()
+        report.messages += Conversion(space, plan, progress, {}).run()
         report.tables += len(plan.olds)
     return report
+
+
+def move_messages(space: Keyspace, topic: str, robots: NewRobots, progress: Progress) -> None:
+    """Give messages of a topic another nodeID, while others read it; as convert_topic.
+
+    The tables that have such messages are replaced by others of the same format. If it was killed,
+    the same call goes on.
+
+    Raises:
+        InvalidName: Messages are stored under a name under which the other robot has one, too.
+        SchemaConflict, WriteFailed, StoreUnavailable, CorruptMessage: As convert_topic; the
+            messages that were not moved keep their nodeID.
+    """
+    if not any(_holds(space, table, robots) for table in space.tables.of_topic(topic)):
+        return
+    space.schema.tables(fresh=True)
+    _await_writers(space, topic, space.tables.of_topic(topic))
+    _forget_left(space, topic)
+    for table in space.tables.of_topic(topic):
+        if _holds(space, table, robots):
+            plan = _Plan([table], table, table.metadata.format)
+            Conversion(space, plan, progress, robots).run()
+
+
+def _holds(space: Keyspace, table: TopicTable, robots: NewRobots) -> bool:
+    """Return whether a table has messages that get another nodeID."""
+    if not table.named:
+        rows = buckets_of(space.directory, table, EVERYBODY)
+        return any((row.writer, row.node) in robots for row in rows)
+    positions = [key.position for key in list_names(table, None)]
+    nodes = [robots.get((writer_of(p.seq), p.node), p.node) for p in positions]
+    moved = [p for p, node in zip(positions, nodes) if p.node != node]
+    numbers = Counter((node, p.name) for node, p in zip(nodes, positions))
+    for (node, name), number in numbers.items():
+        if moved and number > 1:
+            raise InvalidName(
+                f"topic {table.metadata.topic} would have {number} messages {name!r:.80} of robot "
+                f"{node!r:.80}, and a topic keeps one of each name: remove the others first"
+            )
+    return bool(moved)
 
 
 def _plans(space: Keyspace, report: Converted) -> list[_Plan]:
@@ -222,7 +264,7 @@ def _forget_left(space: Keyspace, topic: str) -> None:
             late.append((table, [space.tables.get(name, every[name]) for name in names]))
     _await_writers(space, topic, [table for table, _ in late])
     for table, olds in late:
-        TableCopy(space, olds, table, None).add_written_since(table.metadata.since_us)
+        TableCopy(space, olds, table, None, {}).add_written_since(table.metadata.since_us)
     replacement.clear(space.schema, topic, space.delete_entries)
     for table in space.tables.of_topic(topic):
         for old in table.metadata.replaces:
@@ -249,15 +291,20 @@ def block_span(space: Keyspace, tables: Sequence[TopicTable], connections: int) 
 
 
 class Conversion:
-    """Conversion of the tables of one definition of a topic."""
+    """Conversion of the tables of one definition of a topic.
 
-    def __init__(self, space: Keyspace, plan: _Plan, progress: Progress) -> None:
+    Args:
+        robots: Messages that get another nodeID; see TableCopy.
+    """
+
+    def __init__(self, space: Keyspace, plan: _Plan, progress: Progress, robots: NewRobots) -> None:
         self._space = space
         self._plan = plan
         self._olds = plan.olds
         self._names = [old.name for old in plan.olds]
         self._topic = plan.newest.metadata.topic
         self._progress = progress
+        self._robots = robots
 
     def run(self) -> int:
         """Convert the tables; return the number of messages."""
@@ -281,7 +328,7 @@ class Conversion:
             self._await_clients()
             _await_writers(self._space, self._topic, self._olds)
             before = _state(self._space, self._olds)
-            copy = TableCopy(self._space, self._olds, new, self._progress)
+            copy = TableCopy(self._space, self._olds, new, self._progress, self._robots)
             copy.fill()
             count = copy.compare()
             if new.metadata.ttl:

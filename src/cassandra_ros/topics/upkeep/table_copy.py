@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+import heapq
+from dataclasses import replace
 from itertools import islice
-from typing import Callable, Iterator, Optional, Sequence
+from operator import attrgetter
+from typing import Callable, Iterator, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
-from cassandra_ros.keys import split_seq
+from cassandra_ros.keys import split_seq, writer_of
 from cassandra_ros.read import EVERYTHING, Read, TimeRange, Whose
 from cassandra_ros.store.blocks.block_builder import limits_for
 from cassandra_ros.store.rows.fetch import RowKey, fetch_row, fetch_rows, list_names
@@ -32,6 +35,8 @@ Progress = Optional[Callable[[int, int], None]]
 """Called with the number of messages that are done and the number of all messages."""
 TOLD = 100
 """Number of messages between two calls of the progress function."""
+NewRobots = Mapping[Tuple[int, str], str]
+"""Writer id and nodeID of messages that get another nodeID → that nodeID."""
 WRITERS_AT_ONCE = 16
 """Maximum number of writers copied at the same time, a thread each. With more writers the rows are
 read several times."""
@@ -43,14 +48,22 @@ class TableCopy:
     Args:
         olds: Tables of one definition.
         new: Another table of any format, into which no other client writes.
+        robots: Messages that get another nodeID; all others keep theirs. The old tables have no
+            message of that nodeID under the name of one of them.
     """
 
     def __init__(
-        self, space: Keyspace, olds: Sequence[TopicTable], new: TopicTable, progress: Progress
+        self,
+        space: Keyspace,
+        olds: Sequence[TopicTable],
+        new: TopicTable,
+        progress: Progress,
+        robots: NewRobots,
     ) -> None:
         self._space = space
         self._olds = olds
         self._new = new
+        self._robots = robots
         self._reader = RowReader(space.cassandra, space.directory)
         self._newest = self._newest_of_names()
         rows = count_rows(space.directory, olds, EVERYTHING)
@@ -110,7 +123,7 @@ class TableCopy:
                     lifetime = rounded(lifetime, table.metadata.ttl)
                     by_left.setdefault(lifetime, []).append(RowKey(table, place))
             for lifetime, row_keys in by_left.items():
-                yield lifetime, _fetching(table, row_keys)
+                yield lifetime, self._fetching(table, row_keys)
             return
         length, places = table.metadata.bucket_ns, set()
         for row in buckets_of(self._space.directory, table, whose):
@@ -121,7 +134,26 @@ class TableCopy:
             yield left_in_bucket(table, node, bucket), rows
 
     def _part(self, table: TopicTable, read: Read) -> Callable[[], Iterator[StoredRow]]:
-        return lambda: self._reader.read([table], read)
+        return lambda: map(self._with_robot, self._reader.read([table], read))
+
+    def _with_robot(self, row: StoredRow) -> StoredRow:
+        """Give a row the nodeID that it has in the new table; its position stays the old one."""
+        row.node = self._robots.get((writer_of(row.seq), row.node), row.node)
+        return row
+
+    def _in_order(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
+        """Yield rows in the order that they have in the new table, with the nodeID there."""
+        rows = self._reader.read(tables, read)
+        if not self._robots:
+            return rows
+        stay = (row for row in rows if (writer_of(row.seq), row.node) not in self._robots)
+        streams: list[Iterator[StoredRow]] = [stay]
+        for node in {node for _, node in self._robots}:
+            writers = frozenset(writer for writer, old_node in self._robots if old_node == node)
+            whose = read.whose.both(Whose((node,), writers))
+            moved = self._reader.read(tables, replace(read, whose=whose))
+            streams.append(map(self._with_robot, moved))
+        return heapq.merge(*streams, key=attrgetter("identity"))
 
     def _rows(self, tables: Sequence[TopicTable], read: Read = EVERYTHING) -> Iterator[StoredRow]:
         """Yield the rows of tables in order, one of each place.
@@ -130,7 +162,7 @@ class TableCopy:
             CorruptMessage: Two messages have the same place, which one table cannot hold.
         """
         last: StoredRow | None = None
-        for row in self._reader.read(tables, read):
+        for row in self._in_order(tables, read):
             if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
                 continue  # an equal message came later, into another table
             if last is not None and row.identity == last.identity:
@@ -212,8 +244,12 @@ class TableCopy:
     def _check_expired(self, row: StoredRow) -> None:
         """Check that a row in one table only has expired in the other one meanwhile."""
         # A row may stay a little longer in the new table than in the old ones.
-        tables = self._olds if row.table is self._new else [row.table]
-        is_gone = all(fetch_row(table, row.position) is None for table in tables)
+        tables, nodes = [row.table], [row.position.node]
+        if row.table is self._new:
+            tables = list(self._olds)
+            nodes += [old for (_, old), node in self._robots.items() if node == row.node]
+        positions = [row.position._replace(node=node) for node in nodes]
+        is_gone = all(fetch_row(table, p) is None for table in tables for p in positions)
         if row.table.metadata.ttl and is_gone:
             return
         raise WriteFailed(
@@ -244,10 +280,7 @@ class TableCopy:
             if table.named:
                 written = written_by_name(table).items()
                 late = [RowKey(table, place) for place, us in written if us > since_us]
-                rows = _fetching(table, late)()
-                count += self._add(
-                    row for row in rows if fetch_row(self._new, row.position) is None
-                )
+                count += self._add(self._not_there(self._fetching(table, late)()))
                 continue
             writers: dict[tuple[str, int], set[int]] = {}
             for entry in buckets_of(self._space.directory, table):
@@ -264,12 +297,23 @@ class TableCopy:
 
     def _not_there(self, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
         """Return those of some rows that are not in the new table, each asked for alone."""
-        return (row for row in rows if fetch_row(self._new, row.position) is None)
+        return (
+            row
+            for row in rows
+            if fetch_row(self._new, row.position._replace(node=row.node)) is None
+        )
 
     def _missing(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Return the rows of old tables in a bucket that are not in the new one."""
-        places = {row.identity for row in self._rows([self._new], read)}
+        every_robot = replace(read, whose=Whose(None, read.whose.writers))
+        places = {row.identity for row in self._rows([self._new], every_robot)}
         return (row for row in self._rows(tables, read) if row.identity not in places)
+
+    def _fetching(
+        self, table: TopicTable, keys: Sequence[RowKey]
+    ) -> Callable[[], Iterator[StoredRow]]:
+        rows = (StoredRow(row, table) for row in fetch_rows(keys))
+        return lambda: map(self._with_robot, rows)
 
     def _add(self, late: Iterator[StoredRow]) -> int:
         """Write late rows into the new table, with the headers of their connections."""
@@ -310,7 +354,3 @@ def _key(row: StoredRow) -> Order:
     """Return the key of a row with a message, or with the block that contains it."""
     block, _ = row.block
     return (row.t, row.seq) if block is None else (block.t, block.seq)
-
-
-def _fetching(table: TopicTable, keys: Sequence[RowKey]) -> Callable[[], Iterator[StoredRow]]:
-    return lambda: (StoredRow(row, table) for row in fetch_rows(keys))

@@ -5,24 +5,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Iterable
+from typing import Iterable, Mapping
 
 from cassandra_ros.arguments import check_event_name, check_integer, check_list, check_topics
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import Length, Time, duration_ns, to_ns
+from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.upkeep.deletion import delete_messages
 from cassandra_ros.topics.upkeep.retention_rules import Retained, Rules, retain
+from cassandra_ros.topics.upkeep.run_changes import MoveProgress, change_runs
 from cassandra_ros.topics.upkeep.run_places import PlacesOfRun, index_places, places_of_runs
 from cassandra_ros.topics.upkeep.store_check import CheckReport, check_store
 from cassandra_ros.topics.upkeep.table_copy import Progress
 
 
 class Upkeep:
-    """Deletes messages, thins old ones, checks and mends the store, indexes places.
+    """Deletes messages, thins old ones, checks and mends the store, indexes places, changes runs.
 
     Get it as ``rosCas.upkeep``; it works in the keyspace that was connected then.
     """
@@ -114,6 +116,43 @@ class Upkeep:
     def placesIndex(self, *, nodeID: str | None = None, run: RunName = None) -> list[PlacesOfRun]:
         """Return for each run whether the index of places has its poses; see indexPlaces."""
         return places_of_runs(self._catalog, nodeID, run)
+
+    def setRuns(
+        self,
+        run: str | int,
+        *,
+        name: str | None = None,
+        nodeID: str | None = None,
+        labels: Mapping[str, str | None] | None = None,
+        progress: MoveProgress = None,
+    ) -> list[Run]:
+        """Give runs that have ended another name, robot or labels; return them as they are now.
+
+        For another robot the tables of the run's topics are copied, as for another format
+        (``convertTopic``), while others read them: each message is seen at all times, and once.
+        Only a read that stands at a message with the same time as a moved one may see that one
+        twice, or not. Losses, events and the index of places follow. If it was killed, the same
+        call goes on.
+        A store to which the run was copied keeps the old robot: change the run there, too, before
+        it is copied again.
+
+        Args:
+            run: Name or writer id, which may mean several runs; the file from which a run was
+                imported, or the folder of such files, as a path.
+            name: New name; '' = no name.
+            nodeID: New robot; '' = no robot.
+            labels: Labels to add or to replace; None in place of a text removes a label.
+            progress: Called with a topic, the number of its messages that are done, and that of
+                all its messages.
+
+        Raises:
+            RunNotFound, InvalidName.
+            SchemaConflict: A run, or a topic of it, is being recorded; or an import of another
+                robot was interrupted.
+            WriteFailed, StoreUnavailable, CorruptMessage: Messages of some topics have the new
+                robot, the others the old one; all are there. Call it again.
+        """
+        return change_runs(self._catalog, run, name, nodeID, labels or {}, progress)
 
     def retain(
         self,
