@@ -15,7 +15,7 @@ from typing import Iterable, Iterator, Mapping, Sequence
 from xml.sax.saxutils import quoteattr
 
 from cassandra_ros.cli import player, recorder
-from cassandra_ros.cli.parameters import COMMAND_LINE_ONLY
+from cassandra_ros.cli.parameters import COMMAND_LINE_ONLY, long_name
 
 ROOT = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- options: written by 'make doc' -->", "<!-- end of the options -->"
@@ -90,15 +90,12 @@ def _by_argument(
     parser: argparse.ArgumentParser, without: Sequence[str] = ()
 ) -> dict[str, argparse.Action]:
     """Return the options of a program by the names of their arguments in a launch file."""
-    named: dict[str, argparse.Action] = {}
-    for action in parser._actions:
-        is_off = action.nargs == 0 and action.const is False  # --no-diagnostics: diagnostics
-        name = action.dest
-        if action.option_strings and not is_off:
-            name = action.option_strings[-1].lstrip("-").replace("-", "_")
-        if action.dest not in (*COMMAND_LINE_ONLY[:3], "dry_run", "udp", *without):
-            named.setdefault(name, action)
-    return named
+    return {
+        long_name(action): action
+        for action in parser._actions
+        if action.dest == "quiet" or action.dest not in COMMAND_LINE_ONLY
+        if action.dest not in without
+    }
 
 
 def _argument(name: str, action: argparse.Action, default: str = "") -> str:
@@ -116,6 +113,7 @@ def recorder_arguments() -> tuple[str, str]:
     ]
     parameters = []
     for name, action in named.items():
+        # Lists of YAML; but a regular expression is given as it is, without quotes for YAML.
         if isinstance(action.default, list) and name != "exclude":
             value = f'<rosparam param="{name}" subst_value="true">[$(arg {name})]</rosparam>'
         else:

@@ -44,6 +44,7 @@ LISTS = {
     "--pause-topics",
     "--rate-limit",
     "--rates",
+    "--remove-label",
     "--regex",
     "--remove",
     "--store",

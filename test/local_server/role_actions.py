@@ -236,7 +236,7 @@ class User:
         store = self._open.enter_context(self.open())
         return self._open.enter_context(running_viewer(store, allow_writes=True))
 
-    def service(self, name, **request):
+    def service(self, name, /, **request):
         """Call a service of a query_server that logs in as this user."""
         return self._called(f"/{self._query_server}/{name}", request)
 

@@ -832,3 +832,17 @@ def test_a_store_that_comes_late(proxy, keyspace, rosCas, folder):
     assert rows_of(rosCas) == [text(n) for n in range(2000)]
     (run,) = rosCas.runs()
     assert (run.name, run.state) == ("early", "ended")
+
+
+def test_a_run_that_got_another_robot_meanwhile_is_drained_as_that(
+    proxy, store, rosCas, folder, monkeypatch
+):
+    left_behind(proxy, store, folder, range(1, 101))
+    monkeypatch.setattr("cassandra_ros.topics.run_list.STALE_SEC", 0.0)
+    (run,) = rosCas.runs()
+    rosCas.upkeep.setRuns(run.writer, nodeID="turtle", name="patrol", labels={"k": "v"})
+    (done,) = drain(rosCas, folder)
+    rows = list(rosCas.getTopic("/text").rows())
+    assert (done.complete, {row.node for row in rows}, len(rows)) == (True, {"turtle"}, 101)
+    (run,) = rosCas.runs()
+    assert (run.node, run.name, dict(run.labels)) == ("turtle", "patrol", {"k": "v"})

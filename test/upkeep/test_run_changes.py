@@ -150,22 +150,25 @@ def test_a_killed_change_is_ended_by_a_repetition(two_runs, monkeypatch, owner, 
         # What the killed process cannot do any more.
         patched.setattr(conversion.Conversion, "_give_up", lambda self, new: None)
         with pytest.raises(Killed):
-            rosCas.upkeep.setRuns("a.bag", nodeID="husky")
+            rosCas.upkeep.setRuns("a.bag", nodeID="husky", name="corridor", labels={"k": "v"})
     now = all_stored(rosCas, run="a.bag")
     for topic, rows in before.items():
         assert sorted((t, seq, wire) for t, _, seq, wire in now[topic]) == sorted(
             (t, seq, wire) for t, _, seq, wire in rows
         )
-    rosCas.upkeep.setRuns("a.bag", nodeID="husky")
-    assert {t: sorted(rows) for t, rows in all_stored(rosCas, nodeID="husky").items()} == {
-        topic: moved(rows, "husky") for topic, rows in before.items()
+    node = "turtle" if is_after else "husky"  # another robot than before, or the same call again
+    rosCas.upkeep.setRuns("a.bag", nodeID=node, name="corridor", labels={"k": "v"})
+    assert {t: sorted(rows) for t, rows in all_stored(rosCas, nodeID=node).items()} == {
+        topic: moved(rows, node) for topic, rows in before.items()
     }
     assert all_stored(rosCas, nodeID="") == others
-    assert sorted((run.name, run.node) for run in rosCas.runs()) == [
-        ("a.bag", "husky"),
-        ("b.bag", ""),
+    assert sorted((run.name, run.node, len(run.public_labels)) for run in rosCas.runs()) == [
+        ("b.bag", "", 0),
+        ("corridor", node, 1),
     ]
-    assert [event.node for event in rosCas.events("bump")] == ["husky"]
+    assert [event.node for event in rosCas.events("bump")] == [node]
+    listing = rosCas.catalog.keyspace.schema.listing(fresh=True)
+    assert set(listing.every) == set(listing.visible), "an earlier table was left"
 
 
 @pytest.mark.suite("all", "reads for as long as a change lasts")
@@ -188,7 +191,7 @@ def test_others_read_each_message_once_meanwhile(two_runs, cassandra):
     assert wrong == []
 
 
-def test_names_of_messages_stay_unless_the_robot_has_them_already(fresh):
+def test_names_of_messages_stay(fresh):
     with fresh() as rosCas:
         rosCas.addTopic("/s", key_format="manual", msg_type="std_msgs/String")
         for writer_id, node, names in ((5, "a", "xy"), (6, "b", "z"), (7, "c", "x")):
@@ -198,13 +201,15 @@ def test_names_of_messages_stay_unless_the_robot_has_them_already(fresh):
                 handle = writer.connect(connection)
                 for n, name in enumerate(names):
                     writer.write(handle, T0 * SEC, n, serialize(String(node + name)), name)
-        with pytest.raises(InvalidName, match="2 messages 'x' of robot 'c'"):
-            rosCas.upkeep.setRuns("run a", nodeID="c")
         rosCas.upkeep.setRuns("run a", nodeID="b")
         topic = rosCas.getTopic("/s")
         assert topic.getData("x", nodeID="b").data == "ax"
-        assert [row.name for row in topic.rows(nodeID="b")] == ["x", "y", "z"]
+        assert sorted(row.name for row in topic.rows(nodeID="b")) == ["x", "y", "z"]
         assert [row.name for row in topic.rows(nodeID="a")] == []
+        # A name that the robot has, too: both are versions of it.
+        rosCas.upkeep.setRuns("run c", nodeID="b")
+        texts = [row.message().data for row in topic.rows(nodeID="b") if row.name == "x"]
+        assert sorted(texts) == ["ax", "cx"]
 
 
 def test_runs_of_a_folder_and_what_is_refused(two_runs, tmp_path):
@@ -222,12 +227,33 @@ def test_runs_of_a_folder_and_what_is_refused(two_runs, tmp_path):
         {"nodeID": too_long},
         {"labels": {"a": too_long}},
         {"labels": {"content": None}},
+        {"labels": {"a": 1}},
     ):
         with pytest.raises(InvalidName):
             rosCas.upkeep.setRuns("a.bag", **wrong)
     with rosCas.messageWriter(writer_id=9, run=Run("", 9, "recording", "live")):
         with pytest.raises(SchemaConflict, match="run live goes on"):
             rosCas.upkeep.setRuns("live", name="x")
+
+
+@pytest.mark.suite("test", "an import, a move, an import")
+def test_a_file_that_is_imported_again_after_its_run_was_moved(fresh, tmp_path):
+    with fresh() as rosCas:
+        bag = write_bag(tmp_path / "a.bag", 0)
+        writer = import_bag(rosCas, str(bag)).writer_id
+        rosCas.upkeep.setRuns("a.bag", nodeID="husky")
+        assert import_bag(rosCas, str(bag), nodeID="husky").writer_id == writer
+        assert len(stored(rosCas, "/n")) == 40
+        report = import_bag(rosCas, str(bag))
+        assert report.writer_id != writer
+        assert any("robot husky" in note for note in report.notes)
+        assert len(stored(rosCas, "/n", run=writer)) == 40
+
+
+def test_a_row_that_was_read_before_a_move_gives_its_bytes_after_it(two_runs):
+    rows = list(two_runs.getTopic("/large").rows(run="a.bag", columns=lambda table: ()))
+    two_runs.upkeep.setRuns("a.bag", nodeID="husky")
+    assert [len(row.wire) > 2_000_000 for row in rows] == [True]
 
 
 def test_the_verb(two_runs, cassandra, tmp_path, capsys):

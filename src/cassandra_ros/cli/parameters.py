@@ -12,7 +12,8 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.quantities import truth
 
 COMMAND_LINE_ONLY = ("help", "help_all", "version", "quiet", "dry_run", "udp")
-"""Options that are no parameters: they end the program at once, or concern its terminal."""
+"""Options that are no parameters: they end the program at once, concern its terminal, or are
+refused."""
 
 
 def parameter_words(
@@ -31,12 +32,14 @@ def parameter_words(
     actions = actions_by_parameter(parser)
     words: list[str] = []
     for name, value in parameters.items():
-        if isinstance(value, dict):  # of other nodes, in a namespace that has the node's name
-            continue
         action = actions.get(name)
+        if action is None and isinstance(value, dict):
+            continue  # of another node, in a namespace that has the node's name
         if action is None:
             parser.error(f"there is no parameter ~{name}: parameters are called like options")
-        if action.dest in parser.given or action.dest in without:
+        if isinstance(value, dict):
+            parser.error(f"parameter ~{name} is a mapping: give a text, or a list of texts")
+        if action.dest in parser.given or action.dest in without or value == "":
             continue
         values = value if isinstance(value, list) else [value]
         if not action.option_strings:
@@ -54,13 +57,22 @@ def parameter_words(
     return words
 
 
+def long_name(action: argparse.Action) -> str:
+    """Return the name of an option for parameters and launch files: its last long name, with _.
+
+    A flag that turns something off is named after what it turns off: ~diagnostics, because
+    ~no_diagnostics would mean the opposite.
+    """
+    is_off = action.nargs == 0 and action.const is False
+    if is_off or not action.option_strings:
+        return action.dest
+    return action.option_strings[-1].lstrip("-").replace("-", "_")
+
+
 def actions_by_parameter(parser: argparse.ArgumentParser) -> Mapping[str, argparse.Action]:
     """Return the options of a parser by the names of their parameters."""
     actions: dict[str, argparse.Action] = {}
     for action in parser._actions:
         if action.dest not in COMMAND_LINE_ONLY:
-            long = (text[2:] for text in action.option_strings if text.startswith("--"))
-            # A flag has one name: ~diagnostics, because ~no_diagnostics would mean the opposite.
-            names = () if action.nargs == 0 else (text.replace("-", "_") for text in long)
-            actions.update(dict.fromkeys((action.dest, *names), action))
+            actions.update(dict.fromkeys((action.dest, long_name(action)), action))
     return actions

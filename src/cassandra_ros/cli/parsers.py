@@ -110,6 +110,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.formatter_class = _HelpText
+        self._optionals.title = FIRST_GROUP.title  # in Python 3.8 and 3.9 'optional arguments'
         if ASKED not in os.environ:  # argcomplete reads values of argparse's own actions only
             self.register("action", None, _StoreOnce)
             self.register("action", "store", _StoreOnce)

@@ -136,8 +136,8 @@ def main() -> int:
     given = parser.parse_args(words)  # wrong usage and --help need no master
     from cassandra_ros.messages.ros_master import master_answers
 
-    if given.topics or given.all or given.node or not master_answers():
-        read_options(parser, given)
+    if not master_answers():
+        read_options(parser, given)  # what is wrong needs no master to be told
     from cassandra_ros.nodes.diagnostics import KeyspaceAddress
     from cassandra_ros.nodes.recorder_node import record, start_node
     from cassandra_ros.nodes.subscriptions import make_plan

@@ -7,6 +7,7 @@ Help and usage errors of the recorder need no more than this module, which impor
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,10 +98,10 @@ def read_label(text: str) -> tuple[str, str]:
 
 
 def read_ttl(value: object) -> int:
-    """Read a time to live: whole seconds, 0 = never, or a number followed by s, m, h or d."""
+    """Read a time to live: seconds, rounded up, 0 = never; or a text with s, m, h, d or w."""
     if value == "0":
         return 0
-    return check_ttl(int(read_duration(value)) if isinstance(value, str) else value)
+    return check_ttl(math.ceil(read_duration(value)) if isinstance(value, str) else value)
 
 
 @dataclass(frozen=True)

@@ -207,7 +207,15 @@ class Drain:
     def _begin(self) -> None:
         """Make the entry of the run, if it never reached the store."""
         label = self._label
-        if all(run.writer != label.run for run in self._space.registry.runs()):
+        runs = [run for run in self._space.registry.runs() if run.writer == label.run]
+        if runs and all(run.node != label.node for run in runs):
+            # The run has got another robot since.
+            self._label = replace(label, node=runs[0].node)
+            self._losses = LossLog(runs[0].node, label.run)
+        for run in runs:
+            if run.node == self._label.node:
+                self._label = replace(self._label, name=run.name, labels=run.labels)
+        if not runs:
             self._space.side_tables.make()
             self._space.registry.put_run(replace(self._run(), started=_time(label.begun_ns)))
 

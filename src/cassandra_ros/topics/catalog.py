@@ -274,7 +274,14 @@ class Catalog:
         return CassandraTopic(self.keyspace, self.adder, wish)
 
     def tables(self, topics: Iterable[str] | None) -> list[TopicTable]:
-        """Return the tables of some topics, None = of all topics that can be read."""
+        """Return the tables of some topics, None = of all topics that can be read.
+
+        They are those of this moment: a table that is made or replaced later is not among them.
+        Readers that must follow changes take a ``TableSet``.
+
+        Raises:
+            TopicNotFound: A topic is not stored, or was removed meanwhile.
+        """
         if topics is not None:
             self.keyspace.schema.tables(fresh=True)
             # A topic may be given twice: with and without its leading slash.

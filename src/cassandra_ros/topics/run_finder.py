@@ -99,6 +99,10 @@ class Runs:
             raise RunNotFound(self._absent(run))
         return writers
 
+    def robots(self, writer: int) -> list[str]:
+        """Return the nodeIDs of a writer's run: several while it gets another one."""
+        return [run.node for run in self._registry.runs() if run.writer == writer]
+
     def called(self, text: str) -> frozenset[int]:
         """Return the writer ids for which ``self.text`` returns ``text``."""
         with self._mutex:

@@ -146,7 +146,10 @@ class StoredRow:
         heir = self.table.heir(True)
         if heir is None:
             raise
-        row = fetch_row(heir, self.position)
+        nodes = [self.position.node, *self.table.runs.robots(writer_of(self.seq))]
+        positions = (self.position._replace(node=node) for node in dict.fromkeys(nodes))
+        rows = (fetch_row(heir, position) for position in positions)
+        row = next(filter(None, rows), None)
         if row is None:
             raise MessageNotFound(
                 f"the message of topic {self.topic} at {self.t} was removed while it was read"

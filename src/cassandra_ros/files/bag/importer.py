@@ -448,12 +448,14 @@ def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int,
     and forgotten after its last row was deleted: the rows of a bag that was not imported before
     need not be looked for.
     """
-    runs = {run.writer: run for run in keyspace.registry.runs() if run.node == node}
-    earlier = next(filter(content.is_of, runs.values()), None)
+    runs = keyspace.registry.runs()
+    mine = (run for run in runs if run.node == node)
+    earlier = next(filter(content.is_of, mine), None)
     if earlier is not None:
         return earlier.writer, earlier
-    writer_id = content.writer_id(node)
-    while writer_id in runs:  # 31 bits may agree with those of another bag by chance
+    writer_id, taken = content.writer_id(node), {run.writer for run in runs}
+    # 31 bits may agree with those of another bag by chance, or its run has another robot now.
+    while writer_id in taken:
         writer_id = writer_id % MAX_WRITER + 1
     return writer_id, None
 

@@ -194,7 +194,10 @@ class SegmentReader:
         return SegmentPart(damage=why, missing=missing or [Missing("", 0, 0, 0)])
 
     def _messages(self, record: _Record) -> SegmentPart | None:
-        """Return the messages of a chunk; None = its checksum is wrong."""
+        """Return the messages of a chunk; None = its checksum is wrong, or we did not write it.
+
+        Connections that stand before the unknown part of such a chunk are kept.
+        """
         where = f"{self.path}: the chunk at byte {record.start}"
         content = self._content(record)
         if content is None:

@@ -34,5 +34,9 @@ def table_name(topic: str, md5sum: str, format_name: str, generation: int) -> st
 
 
 def chunk_table_name(table: str) -> str:
-    """Return the name of the table that holds the chunks of a topic's large messages."""
+    """Return the name of the table that holds the chunks of a topic's large messages.
+
+    Stores have tables of this name: with another rule their chunks would not be found. For '' it is
+    what such names end with.
+    """
     return table + "_c"

@@ -29,6 +29,7 @@ _SLOT = "target = ? AND tbl = ? AND node = ? AND slot = ?"
 _READ = ", ".join(("node", "bucket", "writer", *_VALUES, "released"))
 _WHAT, _READING = "writing the books of copies", "reading the books of copies"
 _GONE = "another keyspace was made in its place"
+"""Stored in the books, and recognised by this text there: it must not change."""
 
 
 @dataclass(frozen=True)

@@ -261,7 +261,10 @@ class Registry:
         self._tables.insert("cr_context", columns, "noting that the run goes on", now=now)
 
     def move_run(self, run: Run, node: str) -> None:
-        """Give a run another robot: with its context, send times and losses. It can be repeated."""
+        """Give the context, send times and losses of a run to its entry of another robot.
+
+        Then the entry of its own robot is deleted. It can be repeated.
+        """
         place, what = (run.writer, run.node), "giving a run another robot"
         for table, names in _OF_RUN.items():
             columns = ", ".join(names)
@@ -272,7 +275,6 @@ class Registry:
         losses = [x for x in self.losses() if (x.writer, x.node) == place]
         for loss in losses:
             self.put_loss(replace(loss, node=node))
-        self.put_run(replace(run, node=node))
         self.forget_run(*place, {loss.topic for loss in losses})
 
     def forget_run(self, writer: int, node: str, topics: Iterable[str]) -> None:

@@ -365,7 +365,11 @@ class Replicator:
         return work
 
     def _times_of(self, rule: CopyRule) -> EventTimes | None:
-        """Return the times of the events of a rule; None = it takes messages of all time."""
+        """Return the times of the events of a rule; None = it takes messages of all time.
+
+        Events of all runs count, also if the rule takes messages of some runs only: a mark that
+        another program made belongs to no run, or to that of the program.
+        """
         if not rule.event:
             return None
         events = self._here.events.find(rule.event, whose=self._selection.whose)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Dict, Iterator, Sequence, Tuple
@@ -22,7 +21,6 @@ from cassandra_ros.errors import (
     AccessDenied,
     CassandraRosError,
     DefinitionError,
-    InvalidName,
     SchemaConflict,
     TopicNotFound,
 )
@@ -134,37 +132,31 @@ def move_messages(space: Keyspace, topic: str, robots: NewRobots, progress: Prog
     the same call goes on.
 
     Raises:
-        InvalidName: Messages are stored under a name under which the other robot has one, too.
         SchemaConflict, WriteFailed, StoreUnavailable, CorruptMessage: As convert_topic; the
             messages that were not moved keep their nodeID.
     """
-    if not any(_holds(space, table, robots) for table in space.tables.of_topic(topic)):
+    every = space.schema.listing(fresh=True).every
+    tables = space.tables.of_topic(topic)
+    moves = any(_has(space, table, robots) for table in tables)
+    # A killed call may have moved all messages, and left the earlier table.
+    leaves = any(name in every for table in tables for name in table.metadata.replaces)
+    if not moves and not leaves:
         return
-    space.schema.tables(fresh=True)
-    _await_writers(space, topic, space.tables.of_topic(topic))
+    _await_writers(space, topic, tables)
     _forget_left(space, topic)
     for table in space.tables.of_topic(topic):
-        if _holds(space, table, robots):
+        if _has(space, table, robots):
             plan = _Plan([table], table, table.metadata.format)
             Conversion(space, plan, progress, robots).run()
 
 
-def _holds(space: Keyspace, table: TopicTable, robots: NewRobots) -> bool:
+def _has(space: Keyspace, table: TopicTable, robots: NewRobots) -> bool:
     """Return whether a table has messages that get another nodeID."""
-    if not table.named:
-        rows = buckets_of(space.directory, table, EVERYBODY)
-        return any((row.writer, row.node) in robots for row in rows)
-    positions = [key.position for key in list_names(table, None)]
-    nodes = [robots.get((writer_of(p.seq), p.node), p.node) for p in positions]
-    moved = [p for p, node in zip(positions, nodes) if p.node != node]
-    numbers = Counter((node, p.name) for node, p in zip(nodes, positions))
-    for (node, name), number in numbers.items():
-        if moved and number > 1:
-            raise InvalidName(
-                f"topic {table.metadata.topic} would have {number} messages {name!r:.80} of robot "
-                f"{node!r:.80}, and a topic keeps one of each name: remove the others first"
-            )
-    return bool(moved)
+    if table.named:
+        positions = (key.position for key in list_names(table, None))
+        return any((writer_of(position.seq), position.node) in robots for position in positions)
+    rows = buckets_of(space.directory, table, EVERYBODY)
+    return any((row.writer, row.node) in robots for row in rows)
 
 
 def _plans(space: Keyspace, report: Converted) -> list[_Plan]:
@@ -244,8 +236,9 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
             _log.warning(text, topic, QUIET_SEC)
         if any(first.get(place) != beat for place, beat in now.items()):
             raise SchemaConflict(
-                f"topic {topic} is being recorded and cannot be converted now: end the recording, "
-                "or the clients that add messages to it, and convert it again; nothing was changed"
+                f"topic {topic} is being recorded and cannot be copied into another format, or for "
+                "another robot: end the recording, or the clients that add messages to it, and try "
+                "it again; nothing was changed in the topic"
             )
         time.sleep(LOOK_SEC)
 

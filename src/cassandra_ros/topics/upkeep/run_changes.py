@@ -14,7 +14,7 @@ from cassandra_ros.store.tables.registry import OWN_LABELS, Run
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.upkeep.conversion import move_messages
-from cassandra_ros.topics.upkeep.run_places import index_places, places_of_runs
+from cassandra_ros.topics.upkeep.run_places import index_places
 
 MoveProgress = Optional[Callable[[str, int, int], None]]
 """Called with a topic, the number of its messages that are done, and that of all its messages."""
@@ -28,45 +28,49 @@ def change_runs(
     labels: Mapping[str, str | None],
     progress: MoveProgress,
 ) -> list[Run]:
-    """Change runs; return them as they are now, see ``Upkeep.setRuns``."""
+    """Change runs; return them as they are now, see ``Upkeep.setRuns``.
+
+    The name is last, so that after a kill the same call finds what is still to be done.
+    """
     registry = catalog.keyspace.registry
-    writers = frozenset(match.writer for match in catalog.keyspace.runs.find(run))
+    runs = catalog.keyspace.runs.find(run)
     if name is not None:
         check_run_name(name)
     if node is not None:
         check_new_node(node)
-    for key in labels:
-        if key in OWN_LABELS:
-            raise InvalidName(f"label {key!r} cannot be set: an import finds its run by it")
-    added = check_labels({key: text for key, text in labels.items() if text is not None})
-    _require_ended(_listed(catalog, writers), node)
-    for stored in [stored for stored in registry.runs() if stored.writer in writers]:
-        kept = {key: text for key, text in stored.labels.items() if key not in labels}
-        changed = replace(stored, labels={**kept, **added})
-        changed = changed if name is None else replace(changed, name=name)
+    _check_labels(labels)
+    _require_ended(catalog, runs, node)
+    if node is not None:
+        _move(catalog, runs, node, progress)
+    places = {(stored.writer, stored.node if node is None else node) for stored in runs}
+    for stored in [stored for stored in registry.runs() if (stored.writer, stored.node) in places]:
+        texts = {**stored.labels, **labels}
+        kept = {key: text for key, text in texts.items() if text is not None}
+        changed = replace(stored, labels=kept, name=stored.name if name is None else name)
         if changed != stored:
             registry.put_run(changed)
-    if node is not None:
-        runs = [stored for stored in registry.runs() if stored.writer in writers]
-        others = [stored for stored in runs if stored.node != node]
-        if others:
-            _move(catalog, others, node, progress)
-    return _listed(catalog, writers)
-
-
-def _listed(catalog: Catalog, writers: frozenset[int]) -> list[Run]:
-    """Return the runs of some writers with their states."""
     every = list_runs(catalog.keyspace, catalog.tables(None), times=True)
-    return [run for run in every if run.writer in writers]
+    return [stored for stored in every if (stored.writer, stored.node) in places]
 
 
-def _require_ended(runs: Sequence[Run], node: str | None) -> None:
+def _check_labels(labels: Mapping[str, str | None]) -> None:
+    """Raise InvalidName if a label cannot be set, or removed (None)."""
+    check_labels({key: "" if text is None else text for key, text in dict(labels).items()})
+    for key in OWN_LABELS:
+        if key in labels:
+            raise InvalidName(f"label {key!r} cannot be set: an import finds its run by it")
+
+
+def _require_ended(catalog: Catalog, runs: Sequence[Run], node: str | None) -> None:
     """Raise SchemaConflict if a run cannot be changed now."""
+    every = list_runs(catalog.keyspace, catalog.tables(None))
+    states = {(run.writer, run.node): run.state for run in every}
     for run in runs:
+        state = states.get((run.writer, run.node))
         called = f"run {run.name or run.writer!s:.80}"
-        if run.state == "recording":
+        if state == "recording":
             raise SchemaConflict(f"{called} goes on: change it when it has ended")
-        if node not in (None, run.node) and run.kind == "import" and run.state != "ended":
+        if node not in (None, run.node) and run.kind == "import" and state != "ended":
             raise SchemaConflict(
                 f"{called} is an import that was interrupted, and a repetition would not find it "
                 "under another robot: import the file again first"
@@ -74,25 +78,28 @@ def _require_ended(runs: Sequence[Run], node: str | None) -> None:
 
 
 def _move(catalog: Catalog, runs: Sequence[Run], node: str, progress: MoveProgress) -> None:
-    """Give the messages and events of runs another robot, then the runs with their losses.
+    """Give runs another robot: first a second entry of each, which tells where its messages are.
 
-    The run is last: until then a repetition finds what is still to be done.
+    The first entry is deleted when all has moved. So after a kill there are two, and a repetition,
+    or a move to yet another robot, finds the messages at both.
     """
     space = catalog.keyspace
-    robots = {(run.writer, run.node): node for run in runs}
-    writers = frozenset(run.writer for run in runs)
-    is_indexed = any(p.state == "indexed" for p in places_of_runs(catalog, None, writers))
-    for topic in catalog.all(None):
+    moved = [run for run in runs if run.node != node]
+    robots = {(run.writer, run.node): node for run in moved}
+    for run in moved:
+        space.registry.put_run(replace(run, node=node))
+    for topic in catalog.all(None) if moved else ():
 
         def tell(done: int, total: int, topic_name: str = topic.name) -> None:
             if progress is not None:
                 progress(topic_name, done, total)
 
         move_messages(space, topic.name, robots, tell)
+    writers = frozenset(run.writer for run in runs)
     for event in list(space.events.find(whose=Whose(None, writers))):
         if (event.writer, event.node) in robots:
             space.events.move(event, node)
-    for run in runs:
+    for run in moved:
         space.registry.move_run(run, node)
-    if is_indexed:
+    if space.side_tables.has("cr_placed"):
         index_places(catalog, node, writers, None)

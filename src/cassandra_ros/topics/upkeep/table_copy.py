@@ -48,8 +48,7 @@ class TableCopy:
     Args:
         olds: Tables of one definition.
         new: Another table of any format, into which no other client writes.
-        robots: Messages that get another nodeID; all others keep theirs. The old tables have no
-            message of that nodeID under the name of one of them.
+        robots: Messages that get another nodeID; all others keep theirs.
     """
 
     def __init__(
@@ -312,8 +311,7 @@ class TableCopy:
     def _fetching(
         self, table: TopicTable, keys: Sequence[RowKey]
     ) -> Callable[[], Iterator[StoredRow]]:
-        rows = (StoredRow(row, table) for row in fetch_rows(keys))
-        return lambda: map(self._with_robot, rows)
+        return lambda: (self._with_robot(StoredRow(row, table)) for row in fetch_rows(keys))
 
     def _add(self, late: Iterator[StoredRow]) -> int:
         """Write late rows into the new table, with the headers of their connections."""
