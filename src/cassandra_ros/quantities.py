@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Durations, sizes and numbers as people write them in options, settings files and parameters.
+"""Durations, lengths, sizes and numbers as people write them in options, files and parameters.
 
 Each function reads a text and raises InvalidOption, which says what to give instead.
 """
@@ -45,6 +45,14 @@ def exact_seconds(text: str) -> Decimal:
 def seconds(text: str) -> float:
     """Read a duration like exact_seconds. Return seconds."""
     return float(exact_seconds(text))
+
+
+def metres(text: str) -> float:
+    """Read a length of 0 or more, with its unit: m or km. Return metres."""
+    match = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]*)?|\.[0-9]+) ?(k?)m", text)
+    if match is None:
+        raise InvalidOption(f"{text!r:.80} is not a length of 0 or more, like 20m or 1.5km")
+    return float(match[1]) * (1000 if match[2] else 1)
 
 
 def truth(text: str) -> bool:

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+import re
 from urllib.parse import parse_qs, urlparse
 
 import pytest
 from browser import patrol
-from browser.looking import pixels
+from browser.looking import HUSKY_END, HUSKY_START, pixels
 from compiled import compiled
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
@@ -144,3 +145,34 @@ def test_why_no_track_is_drawn_is_said(page):
     window.wait_for("return document.querySelector('#map-told').textContent.includes('no tracks')")
     assert "nowhere" in window.run("return document.querySelector('#map-told').textContent")
     assert any("/api/places" in error for error in window.errors())  # 4xx, as chromium tells it
+
+
+def test_a_track_over_latitude_and_longitude_and_a_lasso_of_it(page):
+    state = {"start": HUSKY_START, "end": HUSKY_END, "map": "", "odom": "/fix"}
+    window = page("/map.html", **state)
+    drawn = Map(window)
+    assert int(drawn.data["points"]) == 95  # each fix
+    # The plane is that of metres: the track is as wide and as high as it was driven.
+    assert float(drawn.data["scale"]) > 20
+    ActionChains(window.driver).move_to_element(drawn.canvas).perform()
+    cursor = window.run("return document.querySelector('#map-cursor').textContent")
+    assert re.fullmatch(r"latitude 43\.4098\d+  longitude -80\.4483\d+", cursor), cursor
+    # A lasso around the south of the drive, in degrees: longitude, latitude.
+    west, east, south, north = -80.44834, -80.44831, 43.40986, 43.40988
+    corners = ";".join(f"{x},{y}" for y, x in ((south, west), (south, east), (north, east)))
+    lasso = f"{corners};{west},{north}"
+    window = page("/map.html", **state, lasso=lasso)
+    window.wait_for("return document.querySelector('#map').dataset.stays === '1'")
+    look = window.run("return document.querySelector('#map-near a').href")
+    start = int(parse_qs(urlparse(look).query)["time"][0])
+    assert HUSKY_START < start < HUSKY_END
+    # Around the middle, drawn and read again.
+    Map(window)
+    window.driver.find_element("css selector", "#map").send_keys("n")
+    address = window.wait_for(
+        "const at = new URLSearchParams(location.search).get('lasso');"
+        f"return at && at !== '{lasso}' ? at : null"
+    )
+    for pair in address.split(";"):
+        longitude, latitude = map(float, pair.split(","))
+        assert (longitude, latitude) == pytest.approx((-80.4483, 43.4099), abs=1e-4)

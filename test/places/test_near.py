@@ -18,6 +18,18 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
 from nodes.children import await_true
+from places.runs import (
+    GAP,
+    SEC,
+    T0,
+    Clock,
+    Writer,
+    asked,
+    header_of,
+    noted_of,
+    odometry,
+    times_of,
+)
 from std_msgs.msg import Int32
 from suites import search
 from tf2_msgs.msg import TFMessage
@@ -25,27 +37,12 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros.errors import InvalidOption, InvalidQuery, RunNotFound
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.places import track_windows
 from cassandra_ros.places.regions import DiskRegion
 from cassandra_ros.places.track_windows import TRACK_WINDOW_NS
 from cassandra_ros.recording import place_keeper
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.store.tables.registry import LossKind, Run
-
-SEC = 10**9
-T0 = 1_700_000_000 * SEC
-GAP = 10 * SEC
-
-
-def header_of(message):
-    kind = type(message)
-    return {
-        "type": kind._type,
-        "md5sum": kind._md5sum,
-        "message_definition": kind._full_text,
-        "callerid": "/test",
-    }
+from cassandra_ros.store.tables.registry import LossKind
 
 
 def transform(parent, child, x, y, yaw=0.0):
@@ -58,51 +55,6 @@ def transform(parent, child, x, y, yaw=0.0):
 
 def tf(*transforms):
     return TFMessage(list(transforms))
-
-
-def odometry(x, y, frame="odom"):
-    made = Odometry()
-    made.header.frame_id = frame
-    made.pose.pose.position.x, made.pose.pose.position.y = x, y
-    made.pose.pose.orientation.w = 1
-    return made
-
-
-class Writer:
-    """One run that stores messages at given times."""
-
-    def __init__(self, store, node="", name="run", number=None, kind="recording"):
-        self.store, self.node = store, node
-        self.number = number or Writer.next()
-        run = Run(node, self.number, kind, name=name)
-        self.writer = store.messageWriter(writer_id=self.number, nodeID=node, run=run)
-        self.handles, self.count = {}, 0
-
-    @classmethod
-    def next(cls):
-        cls.last = getattr(cls, "last", 0) + 1
-        return cls.last
-
-    def put(self, topic, t, message):
-        if topic not in self.handles:
-            self.handles[topic] = self.writer.connect(live_connection(topic, header_of(message)))
-        self.writer.write(self.handles[topic], t, self.count, serialize(message))
-        self.count += 1
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exc_info):
-        self.writer.close()
-
-
-def times_of(rows):
-    return sorted(row.t for row in rows)
-
-
-def asked(store, condition, params=(), **options):
-    rows = store.executeCQL(f"select KEY from /n where {condition}", params, **options)
-    return sorted(key.to_nsec() for (key,) in rows)
 
 
 @pytest.fixture(scope="module")
@@ -404,14 +356,6 @@ def test_frames_that_are_fixed_in_another_way_since(rosCas):
     assert states == {"still": "no poses", "moves": "not indexed", "later": "no poses"}
     rosCas.upkeep.indexPlaces()
     assert asked(rosCas, "NEAR(50, 500, 1)") == [T0 + 5 * SEC]
-
-
-class Clock:
-    def __init__(self):
-        self.now = T0
-
-    def __call__(self):
-        return self.now
 
 
 def record(store, monkeypatch, moments, **options):
@@ -770,12 +714,6 @@ def test_an_index_stays_as_long_as_what_stays_longest(rosCas):
     rosCas.upkeep.indexPlaces()
     ttls = cassandra.execute(f"SELECT TTL(high) FROM {rosCas.keyspace}.cr_placed", what="asking")
     assert (None,) in {tuple(each) for each in ttls}
-
-
-def noted_of(store, name="/odom"):
-    """What the index says of the poses of a topic: from when to when."""
-    tables = [table.name for table in store.getTopic(name).tables]
-    return [(each.low, each.high) for each in store.catalog.keyspace.place_index.placed(tables)]
 
 
 def drives_on(recording, first, last, y=0.0):

@@ -87,7 +87,7 @@ def test_every_moment_lies_in_a_cell_that_is_visited(poses, region):
     path = path_of(poses)
     visits = list(visits_of(path))
     assert all(v.high - v.low < LONGEST_NS for v in visits)
-    cells = cells_of(region.box)
+    cells = cells_of(region.boxes)
     for t in moments(path):
         place = path.at(t)
         if place is None:
@@ -152,15 +152,15 @@ def test_regions():
 
 
 def test_cells_cover_what_is_asked_for():
-    assert cells_of(Box(-0.5, -0.5, 0.5, 0.5)) == [
+    assert cells_of([Box(-0.5, -0.5, 0.5, 0.5)]) == [
         (4, -1, -1),
         (4, -1, 0),
         (4, 0, -1),
         (4, 0, 0),
     ]
-    assert {cell.size for cell in cells_of(DiskRegion(0, 0, 30).box)} == {64}
-    assert len(cells_of(DiskRegion(0, 0, 5000).box)) <= MAX_REGION_CELLS
-    assert cells_of(DiskRegion(0, 0, 1e6).box) is None
+    assert {cell.size for cell in cells_of(DiskRegion(0, 0, 30).boxes)} == {64}
+    assert len(cells_of(DiskRegion(0, 0, 5000).boxes)) <= MAX_REGION_CELLS
+    assert cells_of(DiskRegion(0, 0, 1e6).boxes) is None
 
 
 def test_spans():

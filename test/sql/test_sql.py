@@ -19,9 +19,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from geometry_msgs.msg import TransformStamped
+from places.runs import haversine
 from proxy import Proxy
 from query.carets import check_caret
-from sensor_msgs.msg import BatteryState, Imu
+from sensor_msgs.msg import BatteryState, Imu, NavSatFix
 from std_msgs.msg import String, UInt64
 from tf2_msgs.msg import TFMessage
 
@@ -312,6 +313,28 @@ def test_constants_are_called_by_their_names(robot):
     named = "SELECT value, number, text FROM constants WHERE NAME = ?"
     assert robot.sql(named, [name]).fetchall() == [(4, 4.0, "4")]
     assert robot.sql("SELECT constant('a', 'b')").fetchall() == [(None,)]
+
+
+def test_distances_on_the_earth(rosCas):
+    """Of numbers and of messages, as a loop with the haversine formula; no fix is no distance."""
+    fixes = rosCas.addTopic("/fix", "ros", msg_type="sensor_msgs/NavSatFix")
+    places = [(43.47, -80.54), (43.471, -80.54), (0.0, 179.5), (0.0, -179.5), (90.0, 7.0)]
+    for n, (latitude, longitude) in enumerate([*places, (np.nan, 0.0)]):
+        fixes.addData(NavSatFix(latitude=latitude, longitude=longitude), key=at(n))
+    rows = rosCas.sql(
+        """SELECT lat_lon_distance(latitude, longitude, 43.47, -80.54) FROM fix ORDER BY KEY"""
+    ).fetchall()
+    expected = [haversine(place, places[0]) for place in places]
+    assert [away for (away,) in rows[:-1]] == pytest.approx(expected)
+    assert np.isnan(rows[-1][0])
+    assert rosCas.sql("SELECT lat_lon_distance(NULL, 0, 0, 0)").fetchall() == [(None,)]
+    pairs = rosCas.sql(
+        """SELECT round(lat_lon_distance(a, b)) FROM fix a JOIN fix b
+        ON b.KEY = a.KEY + INTERVAL 1 SECOND WHERE isfinite(b.latitude) ORDER BY a.KEY"""
+    ).fetchall()
+    assert [away for (away,) in pairs] == [
+        round(haversine(*pair)) for pair in zip(places, places[1:])
+    ]
 
 
 def test_now_is_one_time_that_keys_are_compared_with(robot):

@@ -7,8 +7,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mapping.room import SHIFT, T0, driven, joined
+from sensor_msgs.msg import NavSatFix
+from viewers import running_viewer
 
 from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.near_routes import ROUTES
 from cassandra_ros.viewing.viewer_context import ViewerContext
@@ -62,6 +65,35 @@ def test_what_a_lasso_encloses(viewer, store):
     assert int(first["start"]) <= stays[0][0]
     assert int(first["end"]) >= stays[0][1]
     assert viewer.get("/api/near", polygon=square, limit=1)["more"] is (len(lasso["stays"]) > 1)
+
+
+def test_latitude_and_longitude(fresh):
+    """x is the longitude and y the latitude, as on a map; without poses WGS84 is the usual frame."""
+    with fresh() as store:
+        fixes = store.addTopic("/fix", msg_type="sensor_msgs/NavSatFix")
+        for n in range(21):
+            longitude = 179.999 + 1e-4 * n
+            fix = NavSatFix(latitude=10.0, longitude=longitude - 360 * (longitude > 180))
+            fixes.addData(fix, key=Stamp.from_ns(T0 + n * SEC))
+        with running_viewer(store) as viewer:
+            found = viewer.get("/api/places")
+            (track,) = found["tracks"]
+            assert found["frame"] == "WGS84"
+            assert track["y"] == pytest.approx([10.0] * len(track["y"]))
+            assert (track["x"][0], track["x"][-1]) == pytest.approx((179.999, -179.999))
+            assert viewer.get("/api/places", robot="/fix", frame="WGS84")["tracks"] == [track]
+            (stay,) = viewer.get("/api/near", x=179.9995, y=10, radius=20, robot="/fix")["stays"]
+            assert (int(stay["start"]) + int(stay["end"])) / 2 == pytest.approx(
+                T0 + 5 * SEC, abs=1e8
+            )
+            square = "-179.9997,9.9;-179.9993,9.9;-179.9993,10.1;-179.9997,10.1"
+            (stay,) = viewer.get("/api/near", polygon=square)["stays"]
+            middle = (int(stay["start"]) + int(stay["end"])) / 2
+            assert middle == pytest.approx(T0 + 15 * SEC, abs=1e8)
+            text = viewer.fail("/api/near", x=10, y=179.9995, radius=20)[1]["text"]
+            assert "no place on the Earth" in text
+            text = viewer.fail("/api/near", x=1, y=1, radius=20, frame="map")[1]["text"]
+            assert "/fix tells latitude and longitude" in text
 
 
 def test_who_leaves_ends_the_search_also_where_nothing_is_found(store):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
-from typing import Any, Iterable, Iterator, Mapping, Sequence, Tuple
+from typing import Any, Iterable, Iterator, Mapping, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
 from cassandra_ros.client.explanation import Explanation
@@ -25,6 +25,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.places.transforms.lookup import lookup_transform
 from cassandra_ros.printable import public_names
+from cassandra_ros.query.plan.bounds import usual_frame
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.read import Read
 from cassandra_ros.store.connection.address import from_environment
@@ -49,8 +50,8 @@ from cassandra_ros.topics.upkeep.conversion import Converted, convert_topic
 from cassandra_ros.topics.upkeep.table_copy import Progress
 from cassandra_ros.topics.upkeep.upkeep import Upkeep
 
-NearDisk = Tuple[float, float, float, str, str]
-"""x, y and radius (m) in a frame, the frame, and the robot; '' = to be found out."""
+NearDisk = Tuple[float, float, Union[float, str], str, str]
+"""x, y and radius as in ``near``, the frame, and the robot; '' = to be found out."""
 
 
 class RosCassandra:
@@ -460,8 +461,8 @@ class RosCassandra:
         self,
         x: float,
         y: float,
-        radius: float,
-        frame: str = "map",
+        radius: float | str,
+        frame: str = "",
         topics: Iterable[str] | None = None,
         key: Time | None = None,
         to_key: Time | None = None,
@@ -474,7 +475,11 @@ class RosCassandra:
         """Read lazily the rows of topics whose robot was near a place at that time.
 
         Args:
-            x, y, radius: Disk in the frame, metres; its rim is included.
+            x, y: Centre of a disk in the frame, metres; in frame 'WGS84' latitude and longitude,
+                degrees.
+            radius: Its radius, metres, or a text with the unit, as '20m' or '1.5km'; the rim is
+                included.
+            frame: '' = 'map', or 'WGS84' if the radius is a text.
             robot: The robot's frame in tf, or a topic with its poses; '' = found out, see
                 doc/query.md.
             topics, key, to_key, nodeID, where, run: As in readMessages, also the errors.
@@ -484,7 +489,8 @@ class RosCassandra:
         """
         names, catalog = check_topics(topics), self.catalog
         read = catalog.read_of(names, key, to_key, catalog.whose(nodeID, run))
-        return _near_rows(catalog, (x, y, radius, frame, robot), names, read, where)
+        disk = x, y, radius, frame or usual_frame(radius), robot
+        return _near_rows(catalog, disk, names, read, where)
 
     def nearestMessages(
         self,

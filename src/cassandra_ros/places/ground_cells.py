@@ -10,7 +10,7 @@ afterwards.
 from __future__ import annotations
 
 import math
-from typing import Iterator, NamedTuple
+from typing import Iterator, NamedTuple, Sequence
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from cassandra_ros.places.regions import Box
 from cassandra_ros.places.rigid import Floats
 
 SIZES_M = (4, 64, 1024)
-"""Side lengths of the cells, metres, ascending."""
+"""Side lengths of the cells, metres, ascending; on the Earth, units of ``earth``."""
 MAX_REGION_CELLS = 150
 """Maximum number of cells of one size for a region. Beyond it the next larger size is used."""
 JOIN_NS = 5 * SECOND_NS
@@ -51,16 +51,21 @@ class CellVisit(NamedTuple):
     high: int
 
 
-def cells_of(box: Box) -> list[GroundCell] | None:
-    """Return the cells that cover a rectangle.
+def cells_of(boxes: Sequence[Box]) -> list[GroundCell] | None:
+    """Return the cells that cover rectangles.
 
     None if there are too many even of the largest size.
     """
     for size in SIZES_M:
-        left, bottom, right, top = (_number(side, size) for side in box)
-        if (right - left + 1) * (top - bottom + 1) <= MAX_REGION_CELLS:
-            columns, rows = range(left, right + 1), range(bottom, top + 1)
-            return [GroundCell(size, x, y) for x in columns for y in rows]
+        numbers = [[_number(side, size) for side in box] for box in boxes]
+        counts = ((right - left + 1) * (top - bottom + 1) for left, bottom, right, top in numbers)
+        if sum(counts) <= MAX_REGION_CELLS:
+            return [
+                GroundCell(size, x, y)
+                for left, bottom, right, top in numbers
+                for x in range(left, right + 1)
+                for y in range(bottom, top + 1)
+            ]
     return None
 
 

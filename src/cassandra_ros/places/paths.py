@@ -16,15 +16,18 @@ from typing import Iterable, Iterator, Sequence
 import numpy as np
 
 from cassandra_ros.keys import MAX_NS, SECOND_NS
+from cassandra_ros.places.earth import cut_at_180
 from cassandra_ros.places.pose_samples import Times, Track
 from cassandra_ros.places.poses import LONGEST_GAP_SEC
 from cassandra_ros.places.regions import Lines, Region
 from cassandra_ros.places.rigid import Floats
 from cassandra_ros.query.plan.bounds import NsRange
+from cassandra_ros.query.protocols import WGS84
 
 LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
 LONGEST_WAY_M = 40_000.0
-"""Maximum distance between two connected poses, metres in x or y. A robot cannot move farther."""
+"""Maximum distance between two connected poses, metres in x or y (on the Earth: units, 0.3
+degrees). A robot cannot move farther."""
 STAY_MARGIN_NS = 1_000_000
 """Margin added to both ends of a computed stay, ns, because times are rounded."""
 
@@ -37,13 +40,13 @@ class RobotPath:
     """Times, ns since 1970, ascending and unique."""
     x: Floats
     y: Floats
-    """Coordinates, metres."""
+    """Coordinates, metres; on the Earth, in the plane of ``earth``."""
     gap: int = LONGEST_GAP_NS
     """Maximum time between two connected poses, ns. The position between others is unknown."""
 
     @classmethod
-    def of(cls, tracks: Iterable[Track]) -> RobotPath:
-        """Return the path of consecutive tracks."""
+    def of(cls, tracks: Iterable[Track], frame: str) -> RobotPath:
+        """Return the path of consecutive tracks, whose poses are in a frame."""
         all_tracks = list(tracks)
         none = np.zeros(0)
         times = [np.zeros(0, np.int64), *(track.times for track in all_tracks)]
@@ -51,7 +54,10 @@ class RobotPath:
             [none, *(getattr(track.poses, name) for track in all_tracks)] for name in ("x", "y")
         )
         unique_times, first = np.unique(np.concatenate(times), return_index=True)
-        return cls(unique_times, np.concatenate(x)[first], np.concatenate(y)[first])
+        columns = unique_times, np.concatenate(x)[first], np.concatenate(y)[first]
+        if frame == WGS84:
+            columns = cut_at_180(*columns, LONGEST_GAP_NS, LONGEST_WAY_M)
+        return cls(*columns)
 
     @classmethod
     def still(cls, x: float, y: float) -> RobotPath:

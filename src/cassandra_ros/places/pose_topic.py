@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses from a topic of poses: Odometry, PoseStamped and similar types."""
+"""Poses from a topic of poses, as Odometry, or of positions on the Earth, as NavSatFix."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import TypeMismatch
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.places.array_source import (
@@ -19,9 +20,11 @@ from cassandra_ros.places.array_source import (
     key_after,
     last_key,
 )
+from cassandra_ros.places.earth import plane_of
 from cassandra_ros.places.frame_poses import filled
 from cassandra_ros.places.pose_samples import Flags, KnownPoses, Samples, Times
 from cassandra_ros.places.rigid import Floats, Rigid
+from cassandra_ros.query.protocols import WGS84
 from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.read import Writers
 
@@ -33,9 +36,13 @@ _SOLID = (
     ("transform.translation", "transform.rotation"),  # TransformStamped
 )
 _PLANAR = ("x", "y", "theta")  # Pose2D, turtlesim/Pose
+_FIXES = ("", "position.", "pose.position.", "pose.pose.position.")  # NavSatFix, GeoPose …
+_STATUS = "status.status"  # NavSatFix: below 0, there is no fix
 _STAMP, _FRAME = "header.stamp", "header.frame_id"
 _WISHES = ("goal", "initialpose", "initial_pose", "clicked")
 """Words in topic names whose poses are goals or guesses, not where a robot was."""
+_LONGEST_REACH_NS = 120 * SECOND_NS
+"""Maximum length of the range of row keys in which a pose is looked for at once, ns."""
 
 
 def pose_fields(definition: Definition | None) -> Sequence[str]:
@@ -48,19 +55,44 @@ def pose_fields(definition: Definition | None) -> Sequence[str]:
     return _PLANAR if names.issuperset(_PLANAR) else ()
 
 
+def fix_fields(definition: Definition | None) -> Sequence[str]:
+    """Return the fields of a type that make a position on the Earth: latitude, longitude, status.
+
+    Not all types have a status. Empty if it is another type.
+    """
+    refs = () if definition is None else all_fields(definition)
+    kinds = {ref.name: ref.type for ref in refs if not ref.is_array}
+    for prefix in _FIXES:
+        fields = [f"{prefix}latitude", f"{prefix}longitude"]
+        if all(kinds.get(name) in ("float32", "float64") for name in fields):
+            return fields + [_STATUS] * (kinds.get(_STATUS) in ("int8", "int16"))
+    return ()
+
+
 def tells_poses(topic: ArraySource) -> bool:
     """Return whether the messages of a topic are poses."""
     return any(pose_fields(table.definition) for table in topic.tables)
 
 
-def tells_robot(topic: ArraySource) -> bool:
-    """Return whether a topic's messages are poses, and not goals according to its name."""
-    name = topic.name.rpartition("/")[2]
-    return not any(word in name for word in _WISHES) and tells_poses(topic)
+def tells_fixes(topic: ArraySource) -> bool:
+    """Return whether the messages of a topic are positions on the Earth."""
+    return any(fix_fields(table.definition) for table in topic.tables)
+
+
+def tells_robot(topic: ArraySource, frame: str = "") -> bool:
+    """Return whether a topic's messages are positions in a frame, and not goals by its name.
+
+    Args:
+        frame: WGS84: positions on the Earth; others: poses in any frame.
+    """
+    name, tells = topic.name.rpartition("/")[2], tells_fixes if frame == WGS84 else tells_poses
+    return not any(word in name for word in _WISHES) and tells(topic)
 
 
 class PoseTopic:
     """Recorded poses of a topic, of one robot or of all.
+
+    In frame WGS84 they are positions on the Earth without orientations, in the plane of ``earth``.
 
     Args:
         find: Returns a topic by its name.
@@ -88,7 +120,9 @@ class PoseTopic:
         check_nodes(node)
         self._topic, self._node, self._writers = find(topic), node, writers
         self._offset = Rigid.none(1) if offset is None else offset
-        tables = [t for t in self._topic.tables if pose_fields(t.definition)]
+        self._on_earth = frame == WGS84
+        fields_of = fix_fields if self._on_earth else pose_fields
+        tables = [t for t in self._topic.tables if fields_of(t.definition)]
         if not tables:
             types = ", ".join(sorted({t.msg_type for t in self._topic.tables})) or "no type yet"
             raise TypeMismatch(
@@ -96,10 +130,10 @@ class PoseTopic:
                 "nav_msgs/Odometry, geometry_msgs/PoseStamped or PoseWithCovarianceStamped"
             )
         definition = tables[0].definition
-        self._fields = list(pose_fields(definition))
+        self._fields = list(fields_of(definition))
         names = {ref.name for ref in all_fields(definition)} if definition else ()
         self._stamped = _STAMP in names
-        self._framed = _FRAME in names
+        self._framed = _FRAME in names and not self._on_earth
         if frame is None:
             frame = self._first_frame() if self._framed else ""
         self.frame = frame
@@ -128,9 +162,19 @@ class PoseTopic:
                 arrays = {name: values[ours] for name, values in arrays.items()}
         keys = arrays["KEY"]
         stamps = filled(arrays[_STAMP], 0) if self._stamped else keys
-        columns = [filled(arrays[name], np.nan).astype(np.float64) for name in self._fields]
+        columns = [filled(arrays[name].astype(np.float64), np.nan) for name in self._fields]
         parents, robot = np.zeros(len(keys), np.int64), np.ones(len(keys), np.int64)
-        return Samples.checked(keys, stamps, parents, robot, _numbers(columns))
+        numbers = _fix_numbers(*columns) if self._on_earth else _numbers(columns)
+        return Samples.checked(keys, stamps, parents, robot, numbers)
+
+    def holds_any(self) -> bool:
+        """Return whether any message has a pose: it may have none, as long as there is no fix."""
+        key, reach = self.next_key(-1), SECOND_NS
+        while key is not None:
+            if len(self.read(key, key + reach)):
+                return True
+            key, reach = self.next_key(key + reach), min(2 * reach, _LONGEST_REACH_NS)
+        return False
 
     def explain(self, time: int) -> str:
         """Return why there is no pose at a time, as a text."""
@@ -158,6 +202,15 @@ class PoseTopic:
         """Return the poses at some times, ns, computed from the samples around them."""
         (poses, valid), _ = samples.track(1, stamped).at(times, longest_gap_ns)
         return KnownPoses(poses @ self._offset, valid)
+
+
+def _fix_numbers(latitude: Floats, longitude: Floats, status: Floats | None = None) -> Floats:
+    """Return the (n, 7) numbers of positions on the Earth; NaN where there is no fix."""
+    x, y = plane_of(latitude, longitude)
+    if status is not None:
+        x = np.where(status < 0, np.nan, x)
+    flat = Rigid.planar(x, y, np.zeros(len(x)))
+    return np.concatenate([flat.moved, flat.turned], 1)
 
 
 def _numbers(columns: Sequence[Floats]) -> Floats:

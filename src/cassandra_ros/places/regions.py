@@ -20,7 +20,7 @@ a share of its size, and metres."""
 
 
 class Box(NamedTuple):
-    """Bounding rectangle of a region, metres, all four sides included."""
+    """Rectangle, metres, all four sides included."""
 
     left: float
     bottom: float
@@ -47,8 +47,8 @@ class Region(Protocol):
     """A region of the ground."""
 
     @property
-    def box(self) -> Box:
-        """Bounding rectangle."""
+    def boxes(self) -> Sequence[Box]:
+        """Rectangles that cover it."""
 
     def holds(self, x: float, y: float) -> bool:
         """Return whether a point lies in the region, exactly."""
@@ -66,10 +66,10 @@ class DiskRegion:
     radius: float
 
     @property
-    def box(self) -> Box:
-        """Bounding square."""
+    def boxes(self) -> list[Box]:
+        """Its bounding square."""
         wide = self.radius * (1 + SLACK) + SLACK
-        return Box(self.x - wide, self.y - wide, self.x + wide, self.y + wide)
+        return [Box(self.x - wide, self.y - wide, self.x + wide, self.y + wide)]
 
     def holds(self, x: float, y: float) -> bool:
         """Return whether a point is within the radius of the centre."""
@@ -115,10 +115,10 @@ class Polygon:
         self._sides = list(zip(self._corners, self._corners[1:] + self._corners[:1]))
 
     @property
-    def box(self) -> Box:
-        """Bounding rectangle."""
+    def boxes(self) -> list[Box]:
+        """Its bounding rectangle."""
         xs, ys = zip(*self._corners)
-        return Box(min(xs) - SLACK, min(ys) - SLACK, max(xs) + SLACK, max(ys) + SLACK)
+        return [Box(min(xs) - SLACK, min(ys) - SLACK, max(xs) + SLACK, max(ys) + SLACK)]
 
     def holds(self, x: float, y: float) -> bool:
         """Return whether a point is inside: a ray to the right crosses an odd number of sides."""
@@ -130,7 +130,7 @@ class Polygon:
 
     def shares(self, lines: Lines) -> Iterator[LinePart]:
         """Yield the parts of lines that lie in the polygon, cut where they cross its sides."""
-        box = self.box
+        (box,) = self.boxes
         left, right = (
             np.minimum(lines.x, lines.x + lines.dx),
             np.maximum(lines.x, lines.x + lines.dx),

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The choice of the frame, or of the topic, that gives the poses of a node's robot.
 
-tf is used if it has the requested frame; else a topic of poses in that frame. If several frames or
+tf is used if it has the requested frame; else a topic of poses in that frame. On the Earth, in
+frame WGS84, a topic of latitude and longitude is used. If several frames or
 topics could be meant, an error names them: silently using another robot's poses would be worse.
 """
 
@@ -31,8 +32,9 @@ from cassandra_ros.places.array_source import (
 )
 from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.pose_samples import NO_FRAME, Samples
-from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
+from cassandra_ros.places.pose_topic import PoseTopic, tells_fixes, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, PoseSource
+from cassandra_ros.query.protocols import WGS84
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import Writers
 
@@ -46,14 +48,24 @@ MAX_ROBOTS = 8
 _SAMPLES = 5
 """Number of samples, evenly spaced over the recording, that are searched for frame names."""
 _SAMPLE_NS = 1 * SECOND_NS
-_TYPES = (
+POSE_TYPES = (
     "nav_msgs/Odometry",
     "geometry_msgs/PoseWithCovarianceStamped",
     "geometry_msgs/PoseStamped",
     "geometry_msgs/TransformStamped",
 )
-"""Types of topics that are used without being named, in order of preference."""
+"""Types of topics of poses that are used without being named, in order of preference."""
+FIX_TYPES = (
+    "sensor_msgs/NavSatFix",
+    "geographic_msgs/GeoPoseStamped",
+    "geographic_msgs/GeoPointStamped",
+    "geographic_msgs/GeoPose",
+    "geographic_msgs/GeoPoint",
+)
+"""The same of topics of latitude and longitude."""
 _NO_FRAME_NAME = "no frame"
+_NO_FIX = "no fix"
+"""Frame of a topic of latitude and longitude that tells no position."""
 
 
 class TfFrames(NamedTuple):
@@ -188,6 +200,8 @@ class RobotFinder:
     ) -> None:
         self._stored = stored
         self._frame, self._robot, self._writers = frame.lstrip("/"), robot, writers
+        self._on_earth = self._frame == WGS84
+        self._types = FIX_TYPES if self._on_earth else POSE_TYPES
         self._told: dict[str, list[str]] = {}
         """Frames in which topics give poses, by topic, for the text of an error."""
         self._find_frames = lru_cache(None)(partial(find_frames, stored.find))
@@ -208,14 +222,36 @@ class RobotFinder:
         if not robots and all_nodes:
             raise InvalidOption(self._unknown_robots(nodes, all_nodes) or self._no_pose(node_ids))
         if not robots:
-            raise InvalidOption(
-                "where robots were is not stored: neither tf nor a topic of poses, as "
-                "nav_msgs/Odometry; record one, or import it"
-            )
+            raise InvalidOption(self._no_topic())
         return robots
 
+    def _no_topic(self) -> str:
+        if self._on_earth and self._robot:
+            fixes = [topic.name for topic in self._stored.topics() if tells_fixes(topic)]
+            similar = nearest(self._robot, fixes)
+            return f"{self._robot!r} is no stored topic of latitude and longitude{similar}"
+        if self._on_earth:
+            return (
+                f"no latitude and longitude is stored: no topic of {' or '.join(FIX_TYPES[:3])}; "
+                f"record one, or ask in a frame of the ground, as {self._example('map')}"
+            )
+        return (
+            "where robots were is not stored: neither tf nor a topic of poses, as "
+            f"nav_msgs/Odometry; record one, or import it{self._earth_hint()}"
+        )
+
+    def _earth_hint(self) -> str:
+        """Say how to ask by latitude and longitude, if these are stored; else ''."""
+        topics = [topic for topic in self._stored.topics() if tells_fixes(topic)]
+        if not topics:
+            return ""
+        return f"; {topics[0].name} tells latitude and longitude: NEAR(latitude, longitude, 20m)"
+
     def usual_frame(self) -> str:
-        """Return the most usual frame for places: map or odom, else one that exists."""
+        """Return the most usual frame for places: map or odom, else one that exists.
+
+        Without poses, but with latitude and longitude, it is WGS84.
+        """
         topics = [*self._tf(), *self._candidates]
         nodes = sorted({node for topic in topics for node in self._stored.nodes(topic)})
         tf_frames = [tf for tf in map(self._find_frames, nodes) if tf is not None]
@@ -223,9 +259,13 @@ class RobotFinder:
         all_frames = {frame for tf in tf_frames for frame in tf.frames} | pose_frames
         tops = [frame for tf in tf_frames for frame in tf.tops]
         usual = [frame for frame in USUAL_FRAMES if frame in all_frames]
-        return next(iter([*usual, *sorted(filter(None, pose_frames)), *tops]), USUAL_FRAMES[0])
+        earth = [WGS84] if any(map(tells_fixes, self._stored.topics())) else []
+        choice = [*usual, *sorted(filter(None, pose_frames)), *tops, *earth, USUAL_FRAMES[0]]
+        return choice[0]
 
     def _tf(self) -> list[ArraySource]:
+        if self._on_earth:
+            return []
         topics = (find_stored(self._stored.find, name) for name in (TF, TF_STATIC))
         return [topic for topic in topics if topic is not None]
 
@@ -234,7 +274,8 @@ class RobotFinder:
         if not self._robot:
             return None
         topic = find_stored(self._stored.find, self._robot)
-        return topic if topic is not None and tells_poses(topic) else None
+        tells = tells_fixes if self._on_earth else tells_poses
+        return topic if topic is not None and tells(topic) else None
 
     @cached_property
     def _candidates(self) -> list[ArraySource]:
@@ -244,7 +285,8 @@ class RobotFinder:
         return [
             topic
             for topic in self._stored.topics()
-            if any(table.msg_type in _TYPES for table in topic.tables) and tells_robot(topic)
+            if any(table.msg_type in self._types for table in topic.tables)
+            and tells_robot(topic, self._frame)
         ]
 
     def _of_runs(self, node: str, named: ArraySource | None) -> Robot | None:
@@ -261,19 +303,19 @@ class RobotFinder:
                 return None
             frame = self._frame_of(named, node, writers)
             return of_topic(named) if frame in (self._frame, "") else None
-        tf = self._find_frames(node, writers)
+        tf = None if self._on_earth else self._find_frames(node, writers)
         if tf is not None and self._frame in tf.frames:
             return self._in_tf(node, tf, writers)
         if self._robot:
             return None
         topics = [t for t in self._candidates if self._frame_of(t, node, writers) == self._frame]
-        kind = next((kind for kind in _TYPES if any(_is_of(t, kind) for t in topics)), "")
+        kind = next((kind for kind in self._types if any(_is_of(t, kind) for t in topics)), "")
         candidates = [topic for topic in topics if _is_of(topic, kind)]
         if len(candidates) > 1:
             names = " and ".join(topic.name for topic in candidates)
             raise InvalidOption(
                 f"{names} tell poses in frame {self._frame!r}; say which is meant, as "
-                f"NEAR(x, y, radius, '{self._frame}', '{candidates[0].name}')"
+                f"{self._example(self._frame, candidates[0].name)}"
             )
         return of_topic(candidates[0]) if candidates else None
 
@@ -287,14 +329,18 @@ class RobotFinder:
                 what, example = " and ".join(others) or "no frame", (others or ["base_link"])[0]
                 raise InvalidOption(
                     f"{what} may be the robot{f' of node {node}' if node else ''}; say which frame "
-                    f"moves, as NEAR(x, y, radius, '{self._frame}', '{example}')"
+                    f"moves, as {self._example(self._frame, example)}"
                 )
             name = others[0]
         moving = self._tf()[0]
         return Robot(node, moving, self._frame, name, self._stored.find, writers)
 
     def _frame_of(self, topic: ArraySource, node: str, writers: Writers = None) -> str:
-        frame = PoseTopic(self._stored.find, topic.name, node, writers).frame
+        if self._on_earth:
+            fixes = PoseTopic(self._stored.find, topic.name, node, writers, frame=WGS84)
+            frame = WGS84 if fixes.holds_any() else _NO_FIX
+        else:
+            frame = PoseTopic(self._stored.find, topic.name, node, writers).frame
         self._told.setdefault(topic.name, []).append(frame or _NO_FRAME_NAME)
         return frame
 
@@ -305,7 +351,15 @@ class RobotFinder:
         similar = "".join(nearest(node, sorted(stored)) for node in nodes)
         return f"no pose of robot {' or '.join(map(repr, nodes))} is stored{similar}"
 
+    def _example(self, frame: str, *robot: str) -> str:
+        """Return an example of NEAR in a frame, for the text of an error."""
+        place = "latitude, longitude" if frame == WGS84 else "x, y"
+        return f"NEAR({place}, radius IN {', '.join(map(repr, (frame, *robot)))})"
+
     def _no_pose(self, nodes: Sequence[str]) -> str:
+        if self._on_earth:
+            whose = " or ".join(sorted(self._told)) or "these runs"
+            return f"no latitude and longitude is stored: no message of {whose} has a fix"
         all_frames: set[str] = set()
         for node in nodes:
             tf = self._find_frames(node)
@@ -323,7 +377,7 @@ class RobotFinder:
         names = all_frames.union(*self._told.values()) - {_NO_FRAME_NAME}
         for name in sorted({self._frame, self._robot} - names - {""}):
             text += nearest(name, sorted(names))
-        return f"{text}: name another frame, as NEAR(x, y, radius, '{example}')"
+        return f"{text}: name another frame, as {self._example(example)}{self._earth_hint()}"
 
 
 def _is_of(topic: ArraySource, kind: str) -> bool:

@@ -26,9 +26,10 @@ from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecord
 from cassandra_ros.places.ground_cells import OpenVisits
 from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath, merge_ranges
 from cassandra_ros.places.pose_samples import Samples
-from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
+from cassandra_ros.places.pose_topic import PoseTopic, tells_fixes, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MAX_FRAMES, fixed_frames, frames_above, frames_in
+from cassandra_ros.query.protocols import WGS84
 from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square, VisitRow
 
 MAX_FRAMES_ABOVE = 16
@@ -71,7 +72,7 @@ class _RobotVisits:
 
     def visits(self, whose: RobotRun, low: int, high: int) -> Iterator[VisitRow]:
         """Yield the visits of the time range [low, high], ns, and of the path into it."""
-        path = RobotPath.of(self._poses.tracks(low - LONGEST_GAP_NS, high))
+        path = RobotPath.of(self._poses.tracks(low - LONGEST_GAP_NS, high), self._at[0])
         for visit in self._open.visits(path):
             square = Square(*self._at, *visit.cell)
             yield VisitRow(square, whose.node, visit.low, whose.writer, visit.high)
@@ -131,11 +132,15 @@ class TfVisits:
 
 
 class TopicVisits:
-    """Index of the robot of a topic of poses, for one run; arguments as for TfVisits."""
+    """Index of the robot of a topic of poses, or of positions on the Earth, for one run.
+
+    Arguments as for TfVisits.
+    """
 
     def __init__(self, find: TopicFinder, topic: str, whose: RobotRun) -> None:
         self._whose = whose
-        recording = PoseTopic(find, topic, whose.node)
+        frame = WGS84 if tells_fixes(find(topic)) else None
+        recording = PoseTopic(find, topic, whose.node, frame=frame)
         self._frame = recording.frame
         self._poses = Poses(recording)
         self._ways: dict[str, _RobotVisits] = {}
@@ -208,7 +213,7 @@ class RunIndex:
             notes = TfVisits(self._stored.find, whose)
             yield _TopicPoses(self._extents(tf[0]), notes.visits, notes.placed)
         for topic in self._stored.topics():
-            if tells_poses(topic):
+            if tells_poses(topic) or tells_fixes(topic):
                 extents = self._extents(topic)
                 if extents:
                     visits = TopicVisits(self._stored.find, topic.name, whose)

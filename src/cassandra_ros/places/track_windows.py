@@ -77,6 +77,9 @@ class Windows:
             self._poses[writers] = self.robot.poses(writers)
         return self._poses[writers]
 
+    def _path(self, writers: Writers, low: int, high: int) -> RobotPath:
+        return RobotPath.of(self._poses_of(writers).tracks(low, high), self.robot.frame)
+
     def of(self, t: int) -> PathWindow:
         """Return the window that contains a time, ns."""
         if self.still is not None:
@@ -100,7 +103,7 @@ class Windows:
     def _read(self, number: int) -> PathWindow:
         low = number * TRACK_WINDOW_NS - LONGEST_GAP_NS
         high = (number + 1) * TRACK_WINDOW_NS - 1 + LONGEST_GAP_NS
-        path = RobotPath.of(self._poses_of(None).tracks(low, high))
+        path = self._path(None, low, high)
         if not len(path):
             return PathWindow(path)
         robot = self.robot
@@ -110,8 +113,7 @@ class Windows:
         for writer in {extent.writer for pair in overlapping_pairs(extents) for extent in pair}:
             called.setdefault(self._stored.run_text(writer), set()).add(writer)
         by_run = {
-            text: RobotPath.of(self._poses_of(frozenset(writers)).tracks(low, high))
-            for text, writers in called.items()
+            text: self._path(frozenset(writers), low, high) for text, writers in called.items()
         }
         return PathWindow(path, by_run, int(path.times[-1]) > high - LONGEST_GAP_NS)
 

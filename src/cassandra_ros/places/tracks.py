@@ -15,10 +15,12 @@ from typing import Callable, Iterator, List, Sequence, Union
 import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.places.earth import UNITS_PER_DEGREE
 from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, RobotPath, merge_ranges
 from cassandra_ros.places.pose_samples import Times
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.whereabouts import Whereabouts
+from cassandra_ros.query.protocols import WGS84
 from cassandra_ros.read import Writers
 
 WHOLE_NS = 7200 * SECOND_NS
@@ -41,14 +43,14 @@ class RobotTrack:
     """For each point, whether the line from the previous point is known."""
 
     def told(self) -> dict[str, JsonValues]:
-        """Return the track for JSON: times are ns, as texts."""
-        path = self.path
+        """Return the track for JSON: times are ns, as texts; on the Earth x and y are degrees."""
+        path, unit = self.path, UNITS_PER_DEGREE if self.frame == WGS84 else 1.0
         return {
             "node": self.node,
             "frame": self.frame,
             "times": [str(t) for t in path.times.tolist()],
-            "x": path.x.tolist(),
-            "y": path.y.tolist(),
+            "x": (path.x / unit).tolist(),
+            "y": (path.y / unit).tolist(),
             "joined": list(self.joined),
         }
 
@@ -91,7 +93,7 @@ def _path(robot: Robot, spans: Sequence[tuple[int, int]], watch: Callable[[], No
             tracks.append(track)
             if total > WHOLE_NS:
                 break
-    path = RobotPath.of(tracks)
+    path = RobotPath.of(tracks, robot.frame)
     if total <= WHOLE_NS or not len(path):
         return path
     # The lines between two moments are drawn as known, unless a run ended in between.

@@ -14,9 +14,11 @@ from contextlib import contextmanager
 from typing import Callable, Iterable, Iterator, Mapping, Sequence
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.places.array_source import Extent, StoredTopics
+from cassandra_ros.places.array_source import Extent, StoredTopics, find_stored
+from cassandra_ros.places.earth import EarthDisk
 from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, GroundCell, cells_of
 from cassandra_ros.places.paths import LONGEST_GAP_NS, clip_ranges, merge_ranges, subtract_ranges
+from cassandra_ros.places.pose_topic import tells_fixes
 from cassandra_ros.places.regions import DiskRegion, Region
 from cassandra_ros.places.robots import MAX_FRAMES, Robot, RobotFinder
 from cassandra_ros.places.track_windows import (
@@ -26,7 +28,7 @@ from cassandra_ros.places.track_windows import (
     overlapping_pairs,
 )
 from cassandra_ros.query.plan.bounds import NsRange
-from cassandra_ros.query.protocols import Disk
+from cassandra_ros.query.protocols import WGS84, Disk
 from cassandra_ros.read import Writers
 from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square
 
@@ -172,7 +174,7 @@ class Whereabouts:
         answers = getattr(self._local, "answers", {})
         key = disk, node, writers
         if key not in answers:
-            region = DiskRegion(disk.x, disk.y, disk.radius)
+            region = region_of(disk)
             nodes = None if node is None else [node]
             answers[key] = self.within(region, disk.frame, disk.robot, nodes, writers)
         return answers[key]
@@ -208,14 +210,27 @@ class Whereabouts:
         """Return the sources of robots' poses; arguments and errors as in ``within``."""
         return RobotFinder(self._stored, frame, robot, writers).robots(nodes)
 
-    def usual_frame(self) -> str:
-        """Return the most usual frame for places: map or odom, else one that exists."""
+    def usual_frame(self, robot: str = "") -> str:
+        """Return the most usual frame for places: map or odom, else one that exists.
+
+        Of a robot's topic of latitude and longitude it is WGS84.
+        """
+        topic = find_stored(self._stored.find, robot) if robot else None
+        if topic is not None and tells_fixes(topic):
+            return WGS84
         return RobotFinder(self._stored, "").usual_frame()
 
     def extents(self, robot: Robot, low: int, high: int) -> Sequence[Extent]:
         """Return the time ranges of a robot's recorded poses, by run, that touch [low, high]."""
         extents = self._stored.extents(robot.topic, robot.node, low, high)
         return [e for e in extents if robot.writers is None or e.writer in robot.writers]
+
+
+def region_of(disk: Disk) -> Region:
+    """Return the region of a disk: on the Earth, or on the ground."""
+    if disk.frame == WGS84:
+        return EarthDisk(disk.x, disk.y, disk.radius)
+    return DiskRegion(disk.x, disk.y, disk.radius)
 
 
 class Coverage:
@@ -232,7 +247,7 @@ class Coverage:
         )
         if not extents:
             return []
-        cells = cells_of(region.box)
+        cells = cells_of(region.boxes)
         records = [] if cells is None else self._valid_records(robot)
         ranges = list(uncovered_ranges(extents, records))
         if cells is not None and any(robot.frame in record.above for record in records):

@@ -29,13 +29,19 @@ class RunNames(Protocol):
         """Say that no message is of a robot, with similar names; '' = one is."""
 
 
+WGS84 = "WGS84"
+"""Frame of the Earth, in which positions are latitude and longitude, degrees. All other frames are
+of the ground."""
+
+
 class Disk(NamedTuple):
-    """A disk on the ground, and the robot whose position is compared with it."""
+    """A disk on the ground or on the Earth, and the robot whose position is compared with it."""
 
     x: float
     y: float
+    """Metres in a frame of the ground; in WGS84 latitude and longitude, degrees."""
     radius: float
-    """x, y and radius in metres; the rim is included."""
+    """Metres; the rim is included."""
     frame: str = "map"
     """Frame of x and y."""
     robot: str = ""

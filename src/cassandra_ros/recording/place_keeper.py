@@ -28,6 +28,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.frame_poses import TF, TF_STATIC
 from cassandra_ros.places.paths import LONGEST_GAP_NS
+from cassandra_ros.places.robots import FIX_TYPES, POSE_TYPES
 from cassandra_ros.places.run_index import RobotRun, TfVisits, TopicVisits
 from cassandra_ros.places.transforms.transform_samples import TRANSFORM_KIND
 from cassandra_ros.query.arrays.field_arrays import as_arrays, gather_fields
@@ -52,12 +53,6 @@ MAX_HELD_BYTES = 64 * 1024 * 1024
 """Maximum size of the pose messages that wait for the index, bytes. Above it indexing ends."""
 END_SEC = 10.0
 """Maximum time that the end of a recording waits for the last entries, s."""
-POSES = (
-    "nav_msgs/Odometry",
-    "geometry_msgs/PoseWithCovarianceStamped",
-    "geometry_msgs/PoseStamped",
-    "geometry_msgs/TransformStamped",
-)
 
 
 class _PoseMessage(NamedTuple):
@@ -137,11 +132,11 @@ class LiveTopic:
 
 
 def tells_places(connection: Connection) -> bool:
-    """Return whether the messages of a connection have poses of a robot."""
+    """Return whether the messages of a connection have poses of a robot, or its position."""
     try:
         if connection.topic in (TF, TF_STATIC):
             return connection_kind(connection) == TRANSFORM_KIND
-        return connection.type in POSES
+        return connection.type in POSE_TYPES + FIX_TYPES
     except CassandraRosError:  # not even a header
         return False
 

@@ -10,7 +10,7 @@ from weakref import WeakSet
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.plan.bounds import disk_of
-from cassandra_ros.query.protocols import Stays, Table
+from cassandra_ros.query.protocols import WGS84, Stays, Table
 from cassandra_ros.query.tree.syntax import (
     TIMED,
     Compare,
@@ -106,10 +106,13 @@ def _no_robot_near(near: Near, read: Read) -> str:
     if next(near.stays.spans(low, min(high, MAX_NS)), None) is not None:
         return ""
     _told.add(near.stays)
-    disk = disk_of(near)
+    x, y, radius, frame, _ = disk_of(near)
+    if frame == WGS84:
+        return f"no robot was within {radius:g} m of latitude {x:g}, longitude {y:g} at that time"
     return (
-        f"no robot was within {disk.radius:g} m of ({disk.x:g}, {disk.y:g}) in frame "
-        f"{disk.frame} at that time; x and y are metres in this frame, no latitude and longitude"
+        f"no robot was within {radius:g} m of ({x:g}, {y:g}) in frame {frame} at that time; x and "
+        "y are metres in this frame, no latitude and longitude: these take a radius with its unit, "
+        "as NEAR(43.47, -80.54, 20m)"
     )
 
 

@@ -9,8 +9,11 @@ from typing import Sequence
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.places.regions import DiskRegion, Polygon, Region
+from cassandra_ros.places.earth import UNITS_PER_DEGREE
+from cassandra_ros.places.regions import Polygon, Region
 from cassandra_ros.places.tracks import find_tracks
+from cassandra_ros.places.whereabouts import region_of
+from cassandra_ros.query.protocols import WGS84, Disk
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import NODES, WHOLE_RANGE, ApiCall, whose_of
 from cassandra_ros.viewing.route import Parameter, Route
@@ -24,10 +27,16 @@ MOST_POINTS = 20_000
 USUAL_POINTS = 2000
 """Default number of points of a track."""
 _FRAME = Parameter(
-    "frame", "text", "Frame of the coordinates; missing: map, odom, or the only one there is."
+    "frame",
+    "text",
+    "Frame of the coordinates; missing: map, odom, or the only one there is. In WGS84, x is the "
+    "longitude and y the latitude, degrees.",
 )
 _ROBOT = Parameter(
-    "robot", "text", "Frame of the robot, or a topic of its poses; missing: found by the viewer."
+    "robot",
+    "text",
+    "Frame of the robot, or a topic of its poses or of latitude and longitude; missing: found by "
+    "the viewer.",
 )
 _RUNS = Parameter("runs", "texts", "Runs whose poses are used, if they recorded any.")
 
@@ -37,12 +46,12 @@ def _near(call: ApiCall) -> Json:
     limit = USUAL_STAYS if limit is None else limit
     if not 1 <= limit <= MOST_STAYS:
         raise InvalidOption(f"limit is 1 to {MOST_STAYS}, not {limit}")
-    frame, robot = call.text("frame") or "", call.text("robot") or ""
-    places = call.catalog.places
+    places, robot = call.catalog.places, call.text("robot") or ""
+    frame = call.text("frame") or places.usual_frame(robot)
     low, high = _ends(call)
     stays_found: list[Json] = []
     nodes, writers = call.texts("nodes"), whose_of(call).writers
-    visits = places.within(_region(call), frame or places.usual_frame(), robot, nodes, writers)
+    visits = places.within(_region(call, frame), frame, robot, nodes, writers)
     more = False
     for node in visits.nodes:
         stays = visits.spans(low, high, node=node, watch=lambda: _check_waited_for(call))
@@ -59,9 +68,9 @@ def _places(call: ApiCall) -> Json:
     points = USUAL_POINTS if points is None else points
     if not 2 <= points <= MOST_POINTS:
         raise InvalidOption(f"points is 2 to {MOST_POINTS}, not {points}")
-    places = call.catalog.places
+    places, robot = call.catalog.places, call.text("robot") or ""
     low, high = _ends(call)
-    frame, robot = call.text("frame") or places.usual_frame(), call.text("robot") or ""
+    frame = call.text("frame") or places.usual_frame(robot)
     tracks = find_tracks(
         places,
         (frame, robot),
@@ -83,16 +92,18 @@ def _ends(call: ApiCall) -> tuple[int, int]:
     return 0 if low is None else low, MAX_NS if high is None else high
 
 
-def _region(call: ApiCall) -> Region:
+def _region(call: ApiCall, frame: str) -> Region:
     corners = call.text("polygon")
     x, y, radius = (call.number(name) for name in ("x", "y", "radius"))
     if corners:
-        return Polygon(_corners(corners))
+        unit = UNITS_PER_DEGREE if frame == WGS84 else 1.0
+        return Polygon([(x * unit, y * unit) for x, y in _corners(corners)])
     if x is None or y is None or radius is None:
         raise InvalidOption("give a region: x, y and radius, or polygon=x,y;x,y;x,y, in metres")
     if radius < 0:
         raise InvalidOption(f"radius is {radius}: it is 0 or more metres")
-    return DiskRegion(x, y, radius)
+    centre = (y, x) if frame == WGS84 else (x, y)  # the latitude comes first
+    return region_of(Disk(*centre, radius, frame))
 
 
 def _corners(text: str) -> Sequence[tuple[float, float]]:
@@ -133,8 +144,8 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/places",
         _places,
-        "The tracks of robots: for each robot times, and x and y in metres, thinned; joined has, "
-        "for each point, whether the way from the point before is known.",
+        "The tracks of robots: for each robot times, and x and y in the frame, thinned; joined "
+        "has, for each point, whether the way from the point before is known.",
         (
             *WHOLE_RANGE,
             NODES,

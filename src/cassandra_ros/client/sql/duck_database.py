@@ -20,6 +20,7 @@ from typing import Any
 from cassandra_ros.errors import MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.places.earth import RADIUS_M
 
 MEMORY = "384MB"
 """Memory of DuckDB for one statement; joins and sorts of more go to disk."""
@@ -41,6 +42,27 @@ CONSTANT = (
     "(SELECT c.value::HUGEINT FROM constants c WHERE c.TYPE = msg_type AND c.NAME = named)"
 )
 """Makes constant('pkg/Type', 'NAME'); the table constants must be there."""
+
+
+def _distance_macro() -> str:
+    """Return the macro lat_lon_distance, of four numbers or two messages with these fields.
+
+    It is the haversine formula, written so that NULL and NaN stay what they are.
+    """
+
+    def metres(lat_a: str, lon_a: str, lat_b: str, lon_b: str) -> str:
+        square = (
+            f"(pow(sin(radians({lat_b} - {lat_a}) / 2), 2) + cos(radians({lat_a}))"
+            f" * cos(radians({lat_b})) * pow(sin(radians({lon_b} - {lon_a}) / 2), 2))"
+        )
+        return f"{2 * RADIUS_M} * atan2(sqrt({square}), sqrt(abs(1 - {square})))"
+
+    names = ("lat_a", "lon_a", "lat_b", "lon_b")
+    fields = [f"struct_extract({m}, '{name}')" for m in "ab" for name in ("latitude", "longitude")]
+    return (
+        f"CREATE MACRO lat_lon_distance({', '.join(names)}) AS {metres(*names)}, "
+        f"(a, b) AS {metres(*fields)}"
+    )
 
 
 def _clock_macros(ns: int) -> list[str]:
@@ -132,6 +154,7 @@ class DuckDatabase:
                 "SET asof_loop_join_threshold = 0",
                 *_clock_macros(time.time_ns()),
                 _TF,
+                _distance_macro(),
                 "SET enable_external_access = false",
                 "SET lock_configuration = true",
             ):

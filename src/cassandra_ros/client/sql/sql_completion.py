@@ -26,6 +26,7 @@ _KEYWORDS = (
 _FUNCTIONS = (
     *("count", "min", "max", "avg", "sum", "stddev", "quantile_cont", "arg_max", "abs", "round"),
     *("sqrt", "lag", "lead", "time_bucket", "epoch_ns", "unnest", "now", "constant"),
+    "lat_lon_distance",
 )
 _WORD_BACKWARDS = re.compile(r"[\w.]*")
 _PLAIN_NAME = re.compile(r"[A-Za-z_]\w*")

@@ -5,8 +5,8 @@
 Only conditions joined by AND narrow the bounds. So the bounds may be weaker than the condition, but
 are never stronger.
 
-``NEAR(x, y, radius, 'frame', 'robot')`` is true for a message if its robot was on the disk at that
-time, false if it was elsewhere, and unknown if no pose of it is known. ``Table.places`` gives
+``NEAR(x, y, radius IN 'frame', 'robot')`` is true for a message if its robot was on the disk at
+that time, false if it was elsewhere, and unknown if no pose of it is known. ``Table.places`` gives
 access to the robots of the table's keyspace. ``EVENT 'name'`` is true for a message if its robot
 had an event of this name at that time, else false; ``Table.events`` finds these.
 """
@@ -24,7 +24,8 @@ from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import other_unit
-from cassandra_ros.query.protocols import Disk, RunNames, Stays, Table
+from cassandra_ros.quantities import metres
+from cassandra_ros.query.protocols import WGS84, Disk, RunNames, Stays, Table
 from cassandra_ros.query.tree.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.tree.syntax import (
     TIMED,
@@ -58,7 +59,7 @@ NsRange = Tuple[int, int]
 RangeSource = Callable[[int, int, bool], Iterator[NsRange]]
 """Function that yields disjoint time ranges in [low, high], ascending or (True) descending."""
 
-_METRES = ("x", "y", "the radius")
+_EARTH_NAMES = ("the latitude", "the longitude")
 _NAMES = ("the frame", "the robot")
 
 
@@ -280,23 +281,48 @@ def _distinct(lookups: Iterable[_T]) -> list[_T]:
 
 def disk_of(near: Near) -> Disk:
     """Return the disk of a bound NEAR; StatementError: an argument is invalid."""
-    x, y, radius = (_metres(name, value) for name, value in zip(_METRES, near.values))
-    texts = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])]
+    radius = _radius(near.values[2])
+    frame, *robot = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])] or [
+        usual_frame(near.values[2].value)
+    ]
+    frame = frame.lstrip("/")
+    on_earth = frame == WGS84
+    names, unit = (_EARTH_NAMES, "degrees") if on_earth else (("x", "y"), "metres")
+    x, y = (_number(name, unit, value) for name, value in zip(names, near.values))
+    return Disk(x, y, radius, frame, *robot)
+
+
+def usual_frame(radius: object) -> str:
+    """Return the frame of NEAR where none is named: a radius with a unit, as 20m, is on the Earth.
+
+    Plain numbers are metres in map.
+    """
+    return WGS84 if isinstance(radius, str) else "map"
+
+
+def _radius(literal: Literal) -> float:
+    if isinstance(literal.value, str):
+        try:
+            return metres(literal.value)
+        except InvalidOption as exc:
+            raise StatementError(literal.position, f"the radius {exc}") from exc
+    radius = _number("the radius", "metres", literal)
     if radius < 0:
-        raise StatementError(near.values[2].position, "the radius is negative")
-    return Disk(x, y, radius, *texts)
+        raise StatementError(literal.position, "the radius is negative")
+    return radius
 
 
-def _metres(name: str, literal: Literal) -> float:
+def _number(name: str, unit: str, literal: Literal) -> float:
     value = literal.value
     if isinstance(value, Real) and not isinstance(value, (bool, DurationNs, TimeNs)):
         try:
-            metres = float(value)
+            number = float(value)
         except OverflowError:
-            metres = math.inf
-        if math.isfinite(metres):
-            return metres
-    reason = f"{name} is a number of metres, not {literal.text}"
+            number = math.inf
+        if math.isfinite(number):
+            return number
+    text = f"the duration {literal.text}" if isinstance(value, DurationNs) else literal.text
+    reason = f"{name} is a number of {unit}, not {text}"
     raise StatementError(literal.position, reason)
 
 

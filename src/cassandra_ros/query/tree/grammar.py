@@ -45,6 +45,7 @@ from cassandra_ros.query.tree.syntax import (
     InEvent,
     IsNull,
     KeyOperand,
+    LengthText,
     Literal,
     Near,
     Negation,
@@ -255,15 +256,27 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         inside = All(tuple(compared(operand, s, end, end.position) for s, end in ends))
         return _unless(negated, inside)
 
-    def near(self, word: Token, *values: Term | None) -> Near:
-        numbers = tuple(_value(value) for value in values if value is not None)
+    def near(self, word: Token, *values: Term | tuple[Term, ...] | None) -> Near:
+        names = values[-1] if isinstance(values[-1], tuple) else ()
+        terms = [term for term in values if term is not None and not isinstance(term, tuple)]
+        if names and len(terms) != NEAR_VALUES[0]:
+            reason = f"IN comes after x, y and the radius, not after {len(terms)} values"
+            raise StatementError(names[0].position, f"{reason}, as NEAR(2.5, 0, 1.5 IN 'odom')")
+        numbers = tuple(map(_value, [*terms, *names]))
         if not NEAR_VALUES[0] <= len(numbers) <= NEAR_VALUES[1]:
             reason = (
                 f"NEAR takes 3 to 5 values, not {len(numbers)}: x, y, a radius in metres, a frame "
+                "('map' where none is given) and a robot, as NEAR(2.5, 0, 1.5 IN 'odom'); or "
+                "latitude, longitude and a radius with its unit, as NEAR(43.47, -80.54, 20m)"
             )
-            reason += "('map' where none is given) and a robot, as NEAR(2.5, 0, 1.5, 'odom')"
             raise StatementError(_at(word), reason)
         return Near(numbers, _at(word))
+
+    def length(self, token: Token) -> Literal:
+        return Literal(LengthText(token), _at(token))
+
+    def frame(self, *names: Term) -> tuple[Term, ...]:
+        return names
 
     def event(self, word: Token, name: Term) -> InEvent:
         return InEvent(_value(name), False, _at(word))

@@ -178,7 +178,8 @@ def _offers(
         offers += [Offer(f"{name}(", "function") for name in functions]
     if "STAR" in accepted and previous and previous[-1].type != "_SELECT":
         accepted = accepted - {"STAR"}  # here it means multiplication
-    offers += [Offer(word, "keyword") for name, word in _KEYWORDS.items() if name in accepted]
+    words = _KEYWORDS if "_BETWEEN" in accepted else {**_KEYWORDS, "_IN": "IN '"}  # of NEAR
+    offers += [Offer(word, "keyword") for name, word in words.items() if name in accepted]
     return offers
 
 

@@ -39,6 +39,10 @@ class DurationNs(int):
     """A duration in a statement, as ``1h30m``: ns."""
 
 
+class LengthText(str):
+    """A length in a statement, as ``20m``: its text."""
+
+
 DURATION_UNITS_NS = {
     **{"d": 86_400 * SECOND_NS, "h": 3600 * SECOND_NS, "m": 60 * SECOND_NS, "s": SECOND_NS},
     **{"ms": 10**6, "us": 10**3, "ns": 1},
@@ -55,7 +59,8 @@ def value_text(value: object) -> str:
             name for name, ns in DURATION_UNITS_NS.items() if ns == 1 or (value and value % ns == 0)
         )
         return f"{value // DURATION_UNITS_NS[unit]}{unit}"
-    return f"'{value[:40]}'" if isinstance(value, str) else str(value)[:40]
+    quoted = isinstance(value, str) and not isinstance(value, LengthText)
+    return f"'{str(value)[:40]}'" if quoted else str(value)[:40]
 
 
 @dataclass(frozen=True)
@@ -301,7 +306,7 @@ class IsNull:
 
 @dataclass(frozen=True)
 class Near:
-    """``NEAR(x, y, radius, 'frame', 'robot')``: where the robot was at the time of a message."""
+    """``NEAR(x, y, radius IN 'frame', 'robot')``: where the robot was at the time of a message."""
 
     values: tuple[Literal, ...]
     position: int

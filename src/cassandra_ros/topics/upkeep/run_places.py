@@ -10,7 +10,7 @@ from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.frame_poses import TF, TfRecording
-from cassandra_ros.places.pose_topic import tells_poses
+from cassandra_ros.places.pose_topic import tells_fixes, tells_poses
 from cassandra_ros.places.robots import fixed_frames
 from cassandra_ros.places.run_index import RobotRun, RunIndex
 from cassandra_ros.store.tables.place_index import IndexedPoses
@@ -83,7 +83,7 @@ def _states(catalog: Catalog, node: str | None, run: RunName) -> list[tuple[Run,
 
 
 def _tell_poses(stored: StoredPlaces) -> list[CassandraTopic]:
-    return [t for t in stored.topics() if t.name == TF or tells_poses(t)]
+    return [t for t in stored.topics() if t.name == TF or tells_poses(t) or tells_fixes(t)]
 
 
 class _IndexComparison:

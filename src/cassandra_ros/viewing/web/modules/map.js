@@ -17,13 +17,16 @@ const MAPPED = [
   "nav_msgs/OccupancyGrid",
 ];
 const POSES = ["nav_msgs/Odometry", "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped"];
+const FIXES = ["sensor_msgs/NavSatFix", ...["GeoPoseStamped", "GeoPointStamped", "GeoPose", "GeoPoint"].map((name) => `geographic_msgs/${name}`)];
+const EARTH = "WGS84";
+const DEGREE_METRES = 111195.08;
 const RESOLUTIONS = [0.02, 0.05, 0.1, 0.2, 0.5];
 const SCANS = [200, 1000, 5000, 20000];
 const TRACK_COLOURS = ["--accent", "--run", "--mark", "--loss"];
 const PICK_PIXELS = 12;
 
 /**
- * The thinned track of a robot.
+ * The thinned track of a robot, in metres of the plane.
  * @typedef {object} Track
  * @property {string} node
  * @property {string} frame
@@ -40,6 +43,10 @@ page.start("Map");
 export const view = new MapView(element("map"));
 /** @type {Track[]} */
 export let tracks = [];
+/** Metres of the plane for x and y of the frame; on the Earth these are degrees, and shorter to the east. */
+let unit = { x: 1, y: 1 };
+/** @type {string[]} Topics that tell latitude and longitude. */
+let fixes = [];
 /** @type {AbortController | null} */
 let going = null;
 let asked = "";
@@ -80,9 +87,10 @@ async function begin() {
     .sort((/** @type {any} */ a, /** @type {any} */ b) => types.indexOf(a.types[0]) - types.indexOf(b.types[0]))
     .map((/** @type {any} */ topic) => topic.topic);
   const mapped = of(MAPPED);
+  fixes = of(FIXES);
   fill(element("map-topic"), [["", "nothing"], ...mapped.map((/** @type {string} */ name) => [name, name])], "map");
   fill(element("map-resolution"), [["", "5 cm"], ...RESOLUTIONS.filter((n) => n !== 0.05).map((n) => [String(n), metres(n)])], "resolution");
-  fill(element("map-odom"), [["", "tf, or the best"], ...of(POSES).map((/** @type {string} */ name) => [name, name])], "odom");
+  fill(element("map-odom"), [["", "tf, or the best"], ...of([...POSES, ...FIXES]).map((/** @type {string} */ name) => [name, name])], "odom");
   fill(element("map-scans"), [["", "1000 messages"], ...SCANS.filter((n) => n !== 1000).map((n) => [String(n), `${n} messages`])], "scans");
   const nodes = [...new Set(runs.map((/** @type {any} */ run) => run.node))].sort();
   page.addSelection(element("map-selection"), {
@@ -151,8 +159,9 @@ async function load(wanted, signal) {
  * @param {AbortSignal} signal
  */
 async function loadMap(wanted, signal) {
-  if (!wanted.topic) {
+  if (!wanted.topic || fixes.includes(wanted.odom)) {
     view.image = null;
+    if (wanted.topic) tell(`${wanted.odom} tells latitude and longitude: the map is in another frame, and is not drawn.`);
     return;
   }
   view.canvas.classList.add("working");
@@ -235,7 +244,14 @@ async function loadTracks(wanted, signal) {
     tell([told, `no tracks: ${error.message}`].filter(Boolean).join(" · "));
     return { tracks: [] };
   });
-  tracks = found.tracks.map((/** @type {any} */ track) => ({ ...track, times: track.times.map(BigInt) }));
+  const latitude = found.frame === EARTH ? found.tracks[0]?.y[0] ?? 0 : null;
+  unit = latitude === null ? { x: 1, y: 1 } : { x: DEGREE_METRES * Math.cos((latitude * Math.PI) / 180), y: DEGREE_METRES };
+  tracks = found.tracks.map((/** @type {any} */ track) => ({
+    ...track,
+    times: track.times.map(BigInt),
+    x: track.x.map((/** @type {number} */ x) => x * unit.x),
+    y: track.y.map((/** @type {number} */ y) => y * unit.y),
+  }));
   view.canvas.dataset.points = String(tracks.reduce((sum, track) => sum + track.x.length, 0));
 }
 
@@ -310,11 +326,14 @@ const places = {
   tracks: () => tracks,
   frame: () => view.image?.frame || tracks[0]?.frame || "",
   robot: () => question().odom || posesOf(view.image),
+  unit: () => unit,
 };
 export const lasso = new Lasso(view, places, element("map-more"), element("map-near"));
 view.onClick = pick;
 view.onHover = (/** @type {import("./map_view.js").Point | null} */ at) => {
-  element("map-cursor").textContent = at ? `x ${at.x.toFixed(2)}  y ${at.y.toFixed(2)} m` : "";
+  const [x, y] = at ? [at.x / unit.x, at.y / unit.y] : [0, 0];
+  const text = places.frame() === EARTH ? `latitude ${y.toFixed(6)}  longitude ${x.toFixed(6)}` : `x ${x.toFixed(2)}  y ${y.toFixed(2)} m`;
+  element("map-cursor").textContent = at ? text : "";
 };
 view.canvas.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
   if (event.key === "0") showAll();

@@ -3,7 +3,7 @@
 // @ts-check
 /**
  * The lasso of the map: it lists when robots were inside. The address has its corners as `lasso`, in
- * metres: x,y;x,y;…
+ * metres: x,y;x,y;… On the Earth they are degrees: longitude,latitude;…
  */
 
 import { get, isAbort } from "./api.js";
@@ -30,6 +30,7 @@ const CIRCLE_CORNERS = 36;
  * @property {() => {node: string, frame: string, times: bigint[], x: number[], y: number[]}[]} tracks
  * @property {() => string} frame
  * @property {() => string} robot Topic of the robot's poses; "" = tf, or found by the viewer.
+ * @property {() => Point} unit Metres of the plane for x and y of the frame.
  */
 
 export class Lasso {
@@ -127,8 +128,9 @@ export class Lasso {
   write(corners) {
     const every = Math.max(1, Math.ceil(corners.length / MOST_CORNERS));
     const kept = corners.filter((_, n) => n % every === 0);
-    const digits = Math.max(0, Math.ceil(Math.log10(this.view.scale)) + 1);
-    const text = kept.map((at) => `${at.x.toFixed(digits)},${at.y.toFixed(digits)}`).join(";");
+    const unit = this.places.unit();
+    const digits = Math.max(0, Math.ceil(Math.log10(this.view.scale * unit.y)) + 1);
+    const text = kept.map((at) => `${(at.x / unit.x).toFixed(digits)},${(at.y / unit.y).toFixed(digits)}`).join(";");
     state.write({ lasso: kept.length < LEAST_CORNERS ? null : text }, { push: true });
     this.refresh();
   }
@@ -143,9 +145,10 @@ export class Lasso {
     if (text === this.asked) return;
     this.asked = text;
     this.going?.abort();
+    const unit = this.places.unit();
     this.corners = polygon.split(";").filter(Boolean).map((pair) => {
       const [x, y] = pair.split(",").map(Number);
-      return { x, y };
+      return { x: x * unit.x, y: y * unit.y };
     });
     this.stays = [];
     this.view.draw();
