@@ -156,7 +156,7 @@ def test_a_track_over_latitude_and_longitude_and_a_lasso_of_it(page):
     assert float(drawn.data["scale"]) > 20
     ActionChains(window.driver).move_to_element(drawn.canvas).perform()
     cursor = window.run("return document.querySelector('#map-cursor').textContent")
-    assert re.fullmatch(r"latitude 43\.4098\d+  longitude -80\.4483\d+", cursor), cursor
+    assert re.fullmatch(r"latitude 43\.4098\d+  longitude -80\.448[23]\d+", cursor), cursor
     # A lasso around the south of the drive, in degrees: longitude, latitude.
     west, east, south, north = -80.44834, -80.44831, 43.40986, 43.40988
     corners = ";".join(f"{x},{y}" for y, x in ((south, west), (south, east), (north, east)))

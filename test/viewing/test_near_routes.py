@@ -68,7 +68,7 @@ def test_what_a_lasso_encloses(viewer, store):
 
 
 def test_latitude_and_longitude(fresh):
-    """x is the longitude and y the latitude, as on a map; without poses WGS84 is the usual frame."""
+    """x is the longitude and y the latitude; without poses WGS84 is the usual frame."""
     with fresh() as store:
         fixes = store.addTopic("/fix", msg_type="sensor_msgs/NavSatFix")
         for n in range(21):

@@ -15,8 +15,8 @@ over 1 KiB, arrays over 256 elements and NaN are not indexed: each statement wit
 topic then reads the messages that have such a value, also after the index was removed. So make no
 index on the ranges of a laser scan.
 
-With --places the places of the robots are indexed, from tf and from topics with their poses, or with
-latitude and longitude, so that NEAR reads only the poses around a place. Recorders do this
+With --places the places of the robots are indexed, from tf and from topics with their poses, or
+with latitude and longitude, so that NEAR reads only the poses around a place. Recorders do this
 themselves; use the option for imports, and for recordings with --no-places. Runs that are still
 being recorded are left out; --list shows which runs are indexed.
 """
