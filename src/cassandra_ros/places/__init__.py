@@ -3,8 +3,9 @@
 """Where robots were: transforms at a past time, poses, and the places that they have visited.
 
 ``poses`` and ``frame_poses`` give the poses of many times at once, out of tf or of a topic that
-tells them. ``whereabouts`` finds when a robot was in a region, by an index of coarse cells of the
-ground (``run_index``) as far as that goes. ``transforms/`` looks up one time.
+tells them; a topic of latitude and longitude tells them in the plane of ``earth``. ``whereabouts``
+finds when a robot was in a region, by an index of coarse cells (``run_index``) as far as that goes.
+``transforms/`` looks up one time.
 
 ``array_source`` says what the caller must offer, which has the topics.
 
