@@ -616,11 +616,11 @@ class RosCassandra:
 
         A topic is a table, named with or without its leading slash (with it in double quotes); its
         columns are those of CassandraTopic.toArrow, and EVENT. Further tables are topics, runs,
-        losses, events, constants and ``tf('map', 'base_link')``; a topic of such a name needs its
-        slash. The statement runs when you ask the result for rows: ``.df() .arrow() .fetchall()``,
-        iteration, ``print``; each runs it anew. Only the columns are read that it names, and only
-        the times, robots, runs and values to which its WHERE bounds each topic: ``.explain()``
-        tells.
+        losses, events, constants, ``tf('map', 'base_link')``, ``joints('/joint_states')`` and
+        ``nearest('/imu', '/fix', '50ms')``; a topic of such a name needs its slash. The statement
+        runs when you ask the result for rows: ``.df() .arrow() .fetchall()``, iteration, ``print``;
+        each runs it anew. Only the columns are read that it names, and only the times, robots, runs
+        and values to which its WHERE bounds each topic: ``.explain()`` tells.
 
         Args:
             statement: One SELECT.

@@ -17,6 +17,7 @@ import time
 from contextlib import suppress
 from typing import Any
 
+from cassandra_ros.client.sql.topic_functions import MACROS
 from cassandra_ros.errors import MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import iso_time
@@ -155,6 +156,7 @@ class DuckDatabase:
                 *_clock_macros(time.time_ns()),
                 _TF,
                 _distance_macro(),
+                *MACROS,
                 "SET enable_external_access = false",
                 "SET lock_configuration = true",
             ):

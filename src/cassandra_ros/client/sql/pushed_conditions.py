@@ -24,6 +24,7 @@ from typing import AbstractSet, Any, Callable, Iterable, Iterator, Mapping, Sequ
 
 import numpy as np
 
+from cassandra_ros.client.sql.topic_functions import table_names
 from cassandra_ros.installation import optional_module
 from cassandra_ros.query.tree.syntax import (
     All,
@@ -159,8 +160,8 @@ def _reads(
     for scope in scopes.traverse_scope(tree):
         for name, read in finder.of_scope(scope):
             reads[name].append(read)
-    tables = [t for t in tree.find_all(finder.exp.Table) if t.name in columns]
-    return reads if sum(map(len, reads.values())) == len(tables) else {}
+    names = chain.from_iterable(map(table_names, tree.find_all(finder.exp.Table)))
+    return reads if sum(map(len, reads.values())) == sum(n in columns for n in names) else {}
 
 
 def _all_of(reads: Sequence[PushedRead]) -> PushedRead:
@@ -189,9 +190,8 @@ class _ConditionFinder:
         }
         where = select.args.get("where") if isinstance(select, exp.Select) else None
         if where is None or self._pushes_nothing(select, sources.values()):
-            yield from (
-                (s.name, UNBOUNDED_READ) for s in sources.values() if s.name in self._columns
-            )
+            for source in sources.values():
+                yield from self._reads_of(source, UNBOUNDED_READ)
             return
         names = {alias: _Names(self, alias, sources, scope, select) for alias in sources}
         # What holds for each row of the result, as far as the row has one of the table.
@@ -205,8 +205,20 @@ class _ConditionFinder:
                 holds[alias] = holds[alias].both(implied)
                 reads[alias] = reads[alias].both(implied)
         for alias, source in sources.items():
-            if source.name in self._columns:
-                yield source.name, reads[alias]
+            yield from self._reads_of(source, reads[alias])
+
+    def _reads_of(self, table: Any, read: PushedRead) -> Iterator[tuple[str, PushedRead]]:
+        """Yield what is read for one table in FROM; for nearest of both topics."""
+        for number, name in enumerate(table_names(table)):
+            if name in self._columns:
+                yield name, self._partners_read(table, read) if number else read
+
+    def _partners_read(self, table: Any, read: PushedRead) -> PushedRead:
+        """Return what is read of the second topic of nearest, given that of the first."""
+        within = self._constant(table.this.expressions[2], "epoch_ns(CAST(({}) AS INTERVAL))")
+        if within is None:
+            return PushedRead(nodes=read.nodes)
+        return PushedRead(read.time_range.wider(max(0, within)), read.nodes)
 
     def _pushes_nothing(self, select: Any, tables: Iterable[Any]) -> bool:
         """Return whether each row of the tables of a SELECT may be needed, whatever WHERE says."""
@@ -323,11 +335,16 @@ class _ConditionFinder:
         column = names.column(side)
         if column is None or column.kind == "event":
             return None
-        value = self._constant(other, is_time=column.kind in ("key", "time"))
+        is_time = column.kind in ("key", "time")
+        value = self._constant(other, "epoch_ns(CAST(({}) AS TIMESTAMP_NS))" if is_time else "{}")
         return None if value is None else _bounds(column, operator, value)
 
-    def _constant(self, node: Any, is_time: bool = False) -> Any:
-        """Return the value of an expression, of a time ns; None = it has none, or no constant."""
+    def _constant(self, node: Any, wanted: str = "{}") -> Any:
+        """Return the value of an expression; None = it has none, or is not constant.
+
+        Args:
+            wanted: Expression to compute, in which ``{}`` stands for the given one.
+        """
         if not self._is_constant(node):
             return None
         exp, given = (
@@ -338,10 +355,7 @@ class _ConditionFinder:
         named = node.transform(
             lambda n: exp.Placeholder(this=f"p{n.name}") if isinstance(n, exp.Placeholder) else n
         )
-        text = named.sql(dialect="duckdb")
-        return self._evaluate(
-            f"epoch_ns(CAST(({text}) AS TIMESTAMP_NS))" if is_time else text, given
-        )
+        return self._evaluate(wanted.format(named.sql(dialect="duckdb")), given)
 
     def _is_constant(self, node: Any) -> bool:
         """Return whether an expression has one value that DuckDB can compute alone."""
@@ -375,7 +389,8 @@ class _Names:
         self._exp = finder.exp
         self._alias = alias.lower()
         self._columns_of = {
-            name.lower(): finder._columns.get(source.name) for name, source in sources.items()
+            name.lower(): finder._columns.get(table_names(source)[0])
+            for name, source in sources.items()
         }
         self._others = {name.lower() for name in scope.selected_sources} - {self._alias}
         # Unqualified names are resolved only where all tables are known.

@@ -25,8 +25,8 @@ _KEYWORDS = (
 )
 _FUNCTIONS = (
     *("count", "min", "max", "avg", "sum", "stddev", "quantile_cont", "arg_max", "abs", "round"),
-    *("sqrt", "lag", "lead", "time_bucket", "epoch_ns", "unnest", "now", "constant"),
-    "lat_lon_distance",
+    *("sqrt", "lag", "lead", "time_bucket", "epoch_ns", "epoch", "unnest", "now"),
+    *("constant", "rate", "yaw", "degrees", "lat_lon_distance"),
 )
 _WORD_BACKWARDS = re.compile(r"[\w.]*")
 _PLAIN_NAME = re.compile(r"[A-Za-z_]\w*")
@@ -88,6 +88,8 @@ def _tables(topics: Sequence[str]) -> Iterator[Offer]:
     yield from (Offer(table_text(topic), "topic") for topic in topics)
     yield from (Offer(name, "table") for name in LISTED)
     yield Offer("tf('", "function", "poses of a frame in another")
+    yield Offer("nearest('", "function", "messages, each with the nearest one of another topic")
+    yield Offer("joints('", "function", "the joints of a topic of sensor_msgs/JointState")
 
 
 def _words() -> Iterator[Offer]:

@@ -23,11 +23,23 @@ from cassandra_ros.client.sql.sql_explanation import SqlExplanation, explain_sou
 from cassandra_ros.client.sql.sql_statement import Params, SqlStatement, TableName
 from cassandra_ros.client.sql.table_columns import TableColumns
 from cassandra_ros.client.sql.table_sources import ListSource, TopicSource
+from cassandra_ros.client.sql.topic_functions import (
+    JOINT_FIELDS,
+    NEAREST_COLUMNS,
+    PARTNERS,
+    TopicArgument,
+)
 from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidQuery, TopicNotFound
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
 from cassandra_ros.printable import NOTEBOOK_ROWS, html_table
-from cassandra_ros.query.arrays.arrow_types import Wanted, load_arrow, struct_of, wanted_columns
+from cassandra_ros.query.arrays.arrow_types import (
+    OWN_COLUMNS,
+    Wanted,
+    load_arrow,
+    struct_of,
+    wanted_columns,
+)
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import EVERYBODY, Whose
@@ -258,6 +270,7 @@ class _Run:
         events = names_column(self._statement.tree, EVENT.lower())
         if needed is None and not events:
             events = next(self._catalog.keyspace.events.find(), None) is not None
+        wanted = needed if pushdown else None
         spelled: dict[str, str] = {}
         for table in self._statement.table_names():
             if table.name in self.sources:
@@ -266,24 +279,51 @@ class _Run:
                 name = table.name.lower()
                 self.sources[table.name] = listed_source(load_arrow("sql"), self._catalog, name)
                 continue
-            topic = self._topic(table, may_miss=table.name.lower() in own_tables)
-            if topic is None:
+            if table.name.lower() in own_tables and not self._catalog.exists(table.name):
                 continue
+            topic = self._topic(table)
             other = spelled.setdefault(table.name.lower(), table.name)
             if other != table.name:
                 reason = f"{other} and {table.name} differ by case only, which SQL ignores"
                 raise InvalidQuery(self._statement.text, table.position, reason)
-            wanted = needed if pushdown else None
-            self.sources[table.name] = TopicSource(
-                self._catalog.keyspace, topic, self._whose, wanted, self._look, events
-            )
+            self.sources[table.name] = self._topic_source(topic, wanted, events)
+        for argument in self._statement.topic_arguments():
+            self.sources[argument.table] = self._argument_source(argument, wanted, events)
 
-    def _topic(self, table: TableName, may_miss: bool) -> CassandraTopic | None:
+    def _argument_source(
+        self, argument: TopicArgument, wanted: Wanted | None, events: bool
+    ) -> TopicSource:
+        """Return what nearest or joints reads of a topic."""
+        text = self._statement.text
+        table = TableName(argument.topic, text.find(argument.topic))
+        topic = self._topic(table)
+        if argument.function == "joints":
+            wanted = wanted_columns((name,) for name in (*OWN_COLUMNS, *JOINT_FIELDS))
+            events = False
+        elif wanted is not None:
+            # A partner is of the same robot, and a field called partner keeps its name.
+            wanted = {**wanted, **dict.fromkeys(("node", *NEAREST_COLUMNS), {})}
+        source = self._topic_source(topic, wanted, events)
+        if source.schema.named:
+            reason = f"the keys of {topic.name} are names, not times"
+            raise InvalidQuery(text, table.position, reason)
+        fields = JOINT_FIELDS if argument.function == "joints" else ()
+        for field in fields:
+            if field not in source.columns.names:
+                reason = f"joints reads JointState, and {topic.name} has no {field}"
+                raise InvalidQuery(text, table.position, reason)
+        return source
+
+    def _topic_source(
+        self, topic: CassandraTopic, wanted: Wanted | None, events: bool
+    ) -> TopicSource:
+        keyspace = self._catalog.keyspace
+        return TopicSource(keyspace, topic, self._whose, wanted, self._look, events)
+
+    def _topic(self, table: TableName) -> CassandraTopic:
         try:
             return self._catalog.get(table.name)
         except TopicNotFound as exc:
-            if may_miss:
-                return None
             raise InvalidQuery(self._statement.text, table.position, str(exc)) from exc
 
     def _push(self) -> None:
@@ -445,6 +485,8 @@ def needed_columns(tree: Any) -> Wanted | None:
     aliases = {alias.name.lower() for alias in tree.find_all(exp.TableAlias)}
     if any(len(chain) == 1 and chain[0].lower() in tables | aliases for chain in chains):
         return None  # the whole row as a struct
+    if any(chain[-1].lower() in PARTNERS for chain in chains):
+        return None  # the whole row of nearest's second topic
     # `a.b.c` means field c of column b of table a, or field b.c of column a.
     return wanted_columns([("KEY",), *(c[n:] for c in chains for n in range(len(c)))])
 

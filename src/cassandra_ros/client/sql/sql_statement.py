@@ -12,6 +12,14 @@ from typing import Any, Iterator, Mapping, Sequence, Union
 
 from cassandra_ros.arguments import plain_value
 from cassandra_ros.client.sql.pushed_conditions import UNSURE
+from cassandra_ros.client.sql.topic_functions import (
+    RATE_COLUMNS,
+    TOPIC_FUNCTIONS,
+    USAGE,
+    TopicArgument,
+    topic_arguments,
+    wrong_calls,
+)
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import is_time, iso_time, length_object_ns, to_ns
@@ -21,7 +29,7 @@ Params = Union[Sequence[Any], Mapping[str, Any]]
 
 MAX_STATEMENT_CHARACTERS = 64 * 1024
 """Maximum length of a statement, characters."""
-TABLE_FUNCTIONS = {"range", "generate_series", "unnest", "tf"}
+TABLE_FUNCTIONS = {"range", "generate_series", "unnest", "tf", *TOPIC_FUNCTIONS}
 """Functions that may stand in FROM. All others could read files."""
 _ONE_UNIT = re.compile(r"\s*-?\d+\s*[A-Za-z]*\s*")
 """Texts of intervals that sqlglot reads as DuckDB does; of others it drops the time of day."""
@@ -57,7 +65,7 @@ class SqlStatement:
     """A SELECT statement.
 
     Attributes:
-        text: Its text, in which each ``?`` has a number.
+        text: Its text, in which each ``?`` has a number, and each call of rate all its arguments.
         params: Values of its parameters; times are DuckDB's, with all digits.
         tree: Its syntax tree, of sqlglot.
 
@@ -74,15 +82,16 @@ class SqlStatement:
                 text[:200], 0, f"a statement has at most {MAX_STATEMENT_CHARACTERS} characters"
             )
         self._glot = load_parser()
-        self.text = self._number_parameters(text)
+        self.text = self._completed_text(text)
         self.params = _params(text, params)
         self.tree: Any = self._parse_tree()
         self._check()
 
-    def _number_parameters(self, text: str) -> str:
+    def _completed_text(self, text: str) -> str:
         """Return the text with $1, $2, … for each ?, so that the tree tells them apart.
 
-        The name map gets quotes, without which sqlglot takes it for the type.
+        The name map gets quotes, without which sqlglot takes it for the type. A call of rate gets
+        the columns that it needs of each row.
         """
         glot, kinds = self._glot, self._glot.TokenType
         try:
@@ -91,11 +100,14 @@ class SqlStatement:
             raise InvalidQuery(text, len(text.rstrip()), f"a text is not closed: {exc}") from exc
         number = sum(token.token_type == kinds.PLACEHOLDER for token in tokens)
         following = [*(token.token_type for token in tokens[1:]), None]
-        for token, after in reversed(list(zip(tokens, following))):
+        before = ["", *(token.text.lower() * (token.token_type == kinds.VAR) for token in tokens)]
+        for token, after, word in reversed(list(zip(tokens, following, before))):
             if token.token_type == kinds.PLACEHOLDER:
                 changed, number = f"${number}", number - 1
             elif token.token_type == kinds.MAP and after not in (kinds.L_PAREN, kinds.L_BRACE):
                 changed = f'"{token.text}"'
+            elif token.token_type == kinds.L_PAREN and word == "rate" and after != kinds.R_PAREN:
+                changed = f"({RATE_COLUMNS}, "
             else:
                 continue
             text = f"{text[: token.start]}{changed}{text[token.end + 1 :]}"
@@ -143,6 +155,9 @@ class SqlStatement:
         if self.tree.find(exp.DML, exp.DDL, exp.Command, exp.Into) not in (None, self.tree):
             raise InvalidQuery(self.text, 0, _READ_ONLY)
         self._check_times()
+        for name in wrong_calls(self._glot, self.tree):
+            spot = max(0, self.text.lower().find(name))
+            raise InvalidQuery(self.text, spot, f"{name} takes {USAGE[name]}")
         for table in self.tree.find_all(exp.Table, exp.Lateral):
             if isinstance(table.this, exp.Func):
                 self._check_function(table.this)
@@ -225,6 +240,11 @@ class SqlStatement:
                 reason = "tf takes two frames: tf('map', 'base_link')"
                 raise InvalidQuery(self.text, max(0, self.text.lower().find("tf")), reason)
             yield frames[0].name, frames[1].name
+
+    def topic_arguments(self) -> Iterator[TopicArgument]:
+        """Yield the topics that calls of nearest and joints in FROM read."""
+        for table in self.tree.find_all(self._glot.exp.Table):
+            yield from topic_arguments(table)
 
     def position_of(self, name: str) -> int:
         """Return where a name stands first in the text; 0 = it is not in the tree."""
