@@ -13,16 +13,17 @@ from decimal import Decimal
 from cassandra_ros.errors import InvalidOption
 
 _UNITS_SEC = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86_400, "w": 7 * 86_400}
+_MS = Decimal("0.001")
 _MOST_DIGITS = 18
 _SIZES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 
 
 def exact_duration(text: str) -> Decimal:
-    """Read a duration above 0: a number of seconds, or with s, m, h, d or w. Return s, exactly."""
-    match = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]*)?|\.[0-9]+)([smhdw]?)", text)
+    """Read a duration above 0: a number of seconds, or with ms, s, m, h, d or w. Return seconds."""
+    match = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]*)?|\.[0-9]+)(ms|[smhdw]?)", text)
     if match is None or not float(match[1]):
         raise InvalidOption(f"{text!r:.80} is not a duration, like 30, 5m, 2h or 7d")
-    return Decimal(match[1]) * _UNITS_SEC[match[2]]
+    return Decimal(match[1]) * (_MS if match[2] == "ms" else _UNITS_SEC[match[2]])
 
 
 def duration(text: str) -> float:
@@ -32,8 +33,7 @@ def duration(text: str) -> float:
 
 def exact_seconds(text: str) -> Decimal:
     """Read a duration like exact_duration, or 0. Return seconds, exactly."""
-    is_zero = text.strip("0") in ("", ".") and text.strip(".")
-    if is_zero:
+    if re.fullmatch(r"(0+\.?0*|\.0+)(ms|[smhdw]?)", text):
         return Decimal(0)
     try:
         return exact_duration(text)

@@ -14,6 +14,7 @@ from cassandra_ros.client.sql.duck_database import MEMORY
 from cassandra_ros.client.sql.sql_result import SqlResult
 from cassandra_ros.client.sql.sql_statement import Params
 from cassandra_ros.client.statements import Statements
+from cassandra_ros.client.topics_frame import TopicsFrame
 from cassandra_ros.errors import (
     CassandraRosError,
     InvalidName,
@@ -21,10 +22,12 @@ from cassandra_ros.errors import (
     InvalidQuery,
     KeyspaceNotFound,
 )
+from cassandra_ros.installation import optional_module
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.places.transforms.lookup import lookup_transform
 from cassandra_ros.printable import public_names
+from cassandra_ros.query.arrays.field_arrays import Fields
 from cassandra_ros.query.plan.bounds import usual_frame
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.read import Read
@@ -533,6 +536,62 @@ class RosCassandra:
         wider = replace(read, time_range=read.time_range.wider(reach))
         partners = space.merged(second.tables, filters, wider)
         return nearest_pairs(rows, partners, reach, unpaired)
+
+    def toDataFrame(
+        self,
+        topics: Iterable[str],
+        *,
+        every: Any = None,
+        nearest: str | None = None,
+        within: Any = "1s",
+        fields: Mapping[str, Fields] | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
+        nodeID: str | None = None,
+        run: RunName = None,
+    ) -> Any:
+        """Return several topics as one pandas.DataFrame, with columns named '/topic.field'.
+
+        The rows are at regular times (``every``), each with the last message of each topic at or
+        before it; or at the times of the messages of one topic (``nearest``), each with the
+        nearest message of each other topic, before or after. Of equally near messages, also of
+        those with equal times, the first is taken; of equal times before a row of ``every`` the
+        last. The index ``KEY`` is the time of a row, ``/topic.KEY`` that of the message, both exact
+        to the nanosecond. Types and missing values are those of CassandraTopic.toDataFrame; where
+        no message is near enough all values of the topic are missing.
+
+        Args:
+            topics: Names of topics, or one name.
+            every: Time between two rows: seconds, '20ms', a Duration or a timedelta, above 0. The
+                first row is at ``key``, None = at the first message of these topics.
+            nearest: A topic with the times of the rows; it need not be one of ``topics``. Give this
+                or ``every``.
+            within: Maximum distance of a message from the time of its row, included; as ``every``,
+                or 0.
+            fields: Topic → its fields, as in CassandraTopic.toDataFrame; a topic without an entry
+                = all.
+            key, to_key: First and last time of rows, both included; None = open. Messages may be
+                outside of it.
+            nodeID: nodeID whose messages are read; None = all, which must be of one robot.
+            run: Run whose messages are read, by name or writer id; None = all.
+
+        Raises:
+            InvalidOption: Not one of ``every`` and ``nearest`` is given, a length of time is not
+                valid, the messages are of several robots, their keys are names, or there would be
+                over 50,000,000 regular times.
+            TopicNotFound, RunNotFound, InvalidName, InvalidKey: As in readMessages.
+            InvalidQuery: A topic does not have a field.
+            MissingDependency: pandas is not installed; the text says how to install it.
+        """
+        optional_module("pandas", "toDataFrame")  # before the messages are read
+        names = check_topics(topics) or []
+        if (every is None) == (nearest is None):
+            raise InvalidOption(
+                "give every='20ms' for regular times, or nearest='/imu' for its own"
+            )
+        time_range = range_between(key, to_key)
+        frame = TopicsFrame(self.catalog, names, fields, within, time_range, nodeID, run)
+        return frame.every(every) if nearest is None else frame.nearest(nearest)
 
     @property
     def upkeep(self) -> Upkeep:

@@ -453,7 +453,7 @@ class CassandraTopic:
                 place.
             InvalidKey: key or to_key is not valid.
         """
-        return as_arrays(self._gather(fields, key, to_key, where, nodeID, run))
+        return as_arrays(self.gather(fields, key, to_key, where, nodeID, run))
 
     def toDataFrame(
         self,
@@ -481,7 +481,7 @@ class CassandraTopic:
         optional_module("pandas", "toDataFrame")  # before the messages are read
         if fields is not None:
             fields = ["KEY", *check_list("fields", fields, "['linear.x']")]
-        return as_frame(self._gather(fields, key, to_key, where, nodeID, run))
+        return as_frame(self.gather(fields, key, to_key, where, nodeID, run))
 
     def toArrow(
         self,
@@ -519,7 +519,7 @@ class CassandraTopic:
         batches = read_batches(self.name, schema, *finder.reads(key, to_key))
         return schema.arrow.RecordBatchReader.from_batches(schema.schema, batches)
 
-    def _gather(
+    def gather(
         self,
         fields: Fields,
         key: AnyKey | None,
@@ -528,6 +528,7 @@ class CassandraTopic:
         nodeID: str | None,
         run: RunName,
     ) -> dict[str, FieldArray]:
+        """Return what getArrays returns, with the type and the missing values of each field."""
         finder = self._finder(nodeID, where, run)
         gather = partial(
             gather_fields, self, fields, where, *finder.reads(key, to_key), whose=finder.whose
@@ -586,7 +587,9 @@ class CassandraTopic:
         return self.getRow(key) is not None
 
     def __dir__(self) -> list[str]:
-        return public_names(self, ("count", "countBuckets", "getRow", "read", "rows", "tables"))
+        return public_names(
+            self, ("count", "countBuckets", "gather", "getRow", "read", "rows", "tables")
+        )
 
     def __repr__(self) -> str:
         space = self._keyspace

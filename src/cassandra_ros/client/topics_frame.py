@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Several topics as one pandas.DataFrame, on a grid of times or at the times of one topic."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping, Sequence
+
+import numpy as np
+
+from cassandra_ros.arguments import check_list
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.messages.stamps import Stamp, duration_ns, iso_time
+from cassandra_ros.quantities import exact_seconds
+from cassandra_ros.query.arrays.aligned_fields import align_fields, latest_places, nearest_places
+from cassandra_ros.query.arrays.field_arrays import FieldArray, Fields, as_frame
+from cassandra_ros.read import TimeRange
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.run_finder import RunName
+
+MAX_GRID_ROWS = 50_000_000
+"""Maximum number of rows of a grid of times."""
+
+
+class TopicsFrame:
+    """Reads topics at the same times.
+
+    Args:
+        catalog: The topics.
+        names: Names of the topics.
+        fields: Fields by topic; None, or a topic that is missing in it = all.
+        within: Maximum distance of a message from the time of its row.
+        time_range: Times of the rows.
+        node, run: nodeID and run of the messages; None = all, which must be of one robot.
+
+    Raises:
+        TopicNotFound: A topic is not stored.
+        InvalidOption: Fields are for a topic that is not read.
+    """
+
+    def __init__(
+        self,
+        catalog: Catalog,
+        names: Sequence[str],
+        fields: Mapping[str, Fields] | None,
+        within: object,
+        time_range: TimeRange,
+        node: str | None,
+        run: RunName,
+    ) -> None:
+        self._catalog = catalog
+        self._within = _length_ns(within)
+        self._range = time_range
+        self._node, self._run = node, run
+        self._topics = [catalog.get(name) for name in dict.fromkeys(names)]
+        if fields is not None and not isinstance(fields, Mapping):
+            raise InvalidOption(f"fields= is a mapping of topics to fields, not {fields!r:.80}")
+        self._fields = {catalog.get(name).name: each for name, each in (fields or {}).items()}
+        for name in set(self._fields).difference(topic.name for topic in self._topics):
+            raise InvalidOption(f"fields= has topic {name}, which is not among the topics")
+
+    def every(self, step: object) -> Any:
+        """Return a row for each step of time, with the last messages at or before it.
+
+        Raises:
+            InvalidOption: The step is 0, or makes more than MAX_GRID_ROWS rows; or as in nearest.
+        """
+        step_ns = _length_ns(step)
+        if not step_ns:
+            raise InvalidOption("every= is a length of time above 0, such as '20ms'")
+        self._check_robots(self._topics)
+        low, high = self._range
+        gathered = {t.name: self._gather(t, low - self._within, high) for t in self._topics}
+        keys = [fields["KEY"].values for fields in gathered.values() if len(fields["KEY"].values)]
+        if not low:
+            low = min((int(times[0]) for times in keys), default=0)
+        if high > MAX_NS:
+            high = max((int(times[-1]) for times in keys), default=-1)
+        rows = max(0, (high - low) // step_ns + 1)
+        if rows > MAX_GRID_ROWS:
+            reason = f"{iso_time(low)} to {iso_time(high)} has {rows} steps of {step}"
+            remedy = f"more than {MAX_GRID_ROWS}: give a longer every=, or key= and to_key="
+            raise InvalidOption(f"{reason}, {remedy}")
+        times = low + step_ns * np.arange(rows)
+        places = {
+            name: latest_places(fields["KEY"].values, times, self._within)
+            for name, fields in gathered.items()
+        }
+        return as_frame(align_fields(gathered, places, times))
+
+    def nearest(self, topic: str) -> Any:
+        """Return a row for each message of a topic, with the nearest messages of the others.
+
+        Raises:
+            InvalidOption: The messages are of several robots, or have names instead of times.
+            RunNotFound: There is no such run.
+            InvalidQuery: A topic does not have a field.
+        """
+        base, names = self._catalog.get(topic), [each.name for each in self._topics]
+        self._check_robots([base, *self._topics])
+        low, high = self._range
+        own = self._gather(base, low, high, only_times=base.name not in names)
+        times = own["KEY"].values
+        gathered, places = {}, {}
+        for other in self._topics:
+            if other.name == base.name:
+                fields, chosen = own, np.arange(len(times))
+            else:
+                fields = self._gather(other, low - self._within, high + self._within)
+                chosen = nearest_places(fields["KEY"].values, times, self._within)
+            gathered[other.name], places[other.name] = fields, chosen
+        return as_frame(align_fields(gathered, places, times))
+
+    def _gather(
+        self, topic: CassandraTopic, low: int, high: int, *, only_times: bool = False
+    ) -> dict[str, FieldArray]:
+        """Return fields of the messages in a time range, and KEY."""
+        fields = () if only_times else self._fields.get(topic.name)
+        if fields is not None:
+            fields = ["KEY", *check_list("fields", fields, "['linear.x']")]
+        key = Stamp.from_ns(low) if low > 0 else None
+        to_key = Stamp.from_ns(high) if high <= MAX_NS else None
+        gathered = topic.gather(fields, key, to_key, None, self._node, self._run)
+        if gathered["KEY"].kind.kind != "time":
+            raise InvalidOption(f"the keys of {topic.name} are names, not times")
+        return gathered
+
+    def _check_robots(self, topics: Sequence[CassandraTopic]) -> None:
+        """Refuse messages of several robots, which one row would mix."""
+        keyspace = self._catalog.keyspace
+        if self._node is not None:
+            return
+        robots = set(keyspace.nodes([table for topic in topics for table in topic.tables]))
+        writers = keyspace.runs.writers(self._run)
+        of_run = None if writers is None else keyspace.runs.nodes(writers)
+        robots = robots if of_run is None else robots & of_run
+        if len(robots) > 1:
+            names = ", ".join(sorted(robots))
+            raise InvalidOption(f"the messages are of several robots ({names}): choose by nodeID=")
+
+
+def _length_ns(given: object) -> int:
+    """Return the ns of a length of time; of a text such as '20ms', too."""
+    return duration_ns(exact_seconds(given) if isinstance(given, str) else given)
