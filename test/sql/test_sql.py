@@ -316,7 +316,7 @@ def test_constants_are_called_by_their_names(robot):
 
 
 def test_distances_on_the_earth(rosCas):
-    """Of numbers and of messages, as a loop with the haversine formula; no fix is no distance."""
+    """As a loop with the haversine formula, for numbers and messages; no fix has no distance."""
     fixes = rosCas.addTopic("/fix", "ros", msg_type="sensor_msgs/NavSatFix")
     places = [(43.47, -80.54), (43.471, -80.54), (0.0, 179.5), (0.0, -179.5), (90.0, 7.0)]
     for n, (latitude, longitude) in enumerate([*places, (np.nan, 0.0)]):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The fields of several topics at the same times: for each time one message of each topic.
 
-Times are int64 ns, in order. A place is the index of a message of a topic, -1 = there is none.
+Times are int64 ns, in order. A place is the index of a message of a topic, -1 = no message.
 """
 
 from __future__ import annotations
