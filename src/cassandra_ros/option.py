@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """An option of a program, declared once: as a field of a dataclass.
 
-``cli/parsers.py`` makes the parser of it, with help text and completion, and ``cli/parameters.py``
-reads the private ROS parameter of the same name. ``make doc`` writes its row in the page of the
-program, and its argument in the launch file.
+``cli/parsers.py`` makes the parser of it, with help text and completion. ``cli/parameters.py``
+reads the private ROS parameter of the same name, for all nodes but the player. ``make doc`` writes
+its row in the page of the program, and its argument in the launch file.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Option:
     help: str
     metavar: str = ""
     read: Callable[[str], object] = str
-    """Reads the text of a value; raises InvalidOption."""
+    """Reads the text of a value; raises InvalidOption. Words of no option stay texts."""
     group: OptionGroup = FIRST_GROUP
     rare: bool = False
     """Whether only --help-all shows it."""
