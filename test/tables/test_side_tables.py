@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from concurrent import futures
 
 import pytest
 from nodes.children import await_true
@@ -161,3 +162,16 @@ def test_who_waits_for_the_lock_of_a_killed_program_says_so(rosCas, cql, monkeyp
     assert told.startswith(f'waiting for the schema lock in "{rosCas.keyspace}"."cr_lock": another')
     left = re.search(r"killed meanwhile, its lock runs out in ([0-9]+) s; else .* 150 s$", told)
     assert 0 < int(left[1]) <= 100
+
+
+def test_a_table_that_is_listed_before_it_can_be_read_is_waited_for(rosCas, cql, keyspace):
+    """As another client's new table: here one that is dropped, and made again during the read."""
+    registry = rosCas.catalog.keyspace.registry
+    registry.put_loss(Loss("/t", "", 7, LossKind.BUFFER_FULL, 1, 2, 3))
+    cql.execute(f"DROP TABLE {keyspace}.cr_loss")
+    with futures.ThreadPoolExecutor(1) as pool:
+        losses = pool.submit(registry.losses)
+        with pytest.raises(futures.TimeoutError):
+            losses.result(timeout=0.3)
+        cql.execute(f"CREATE TABLE {keyspace}.cr_loss ({LATER_TABLES['cr_loss']})")
+        assert losses.result(timeout=60) == []

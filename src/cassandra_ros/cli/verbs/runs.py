@@ -38,7 +38,6 @@ from cassandra_ros.cli.options import add_store_options, open_store, read_pairs
 from cassandra_ros.cli.terminal_text import MessageBar, format_table
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.errors import InvalidOption, MessageNotFound
-from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
 from cassandra_ros.recording.option_values import read_label
 
@@ -160,6 +159,8 @@ def time_of(when: datetime | None) -> str:
 
 def _second(ns: int | None) -> str:
     """Return the second in which a time lies; '-' for None."""
+    from cassandra_ros.messages.stamps import iso_time
+
     return "-" if ns is None else f"{iso_time(ns)[:19]}Z"
 
 

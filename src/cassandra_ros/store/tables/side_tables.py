@@ -17,7 +17,7 @@ import threading
 import time
 import uuid
 from copy import copy
-from typing import Mapping, Sequence
+from typing import Callable, Mapping, Sequence, TypeVar
 
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -25,6 +25,7 @@ from cassandra_ros.errors import (
     KeyspaceNotFound,
     SchemaConflict,
     StoreUnavailable,
+    TopicNotFound,
 )
 from cassandra_ros.metadata import SIDE_COMMENT
 from cassandra_ros.store.connection.cassandra import Cassandra, CqlRow, SchemaChange
@@ -32,6 +33,7 @@ from cassandra_ros.store.connection.cql_names import qualified, quote_name, quot
 from cassandra_ros.store.connection.requests import RETRY_SEC, Seconds
 
 _log = logging.getLogger(__name__)
+_Rows = TypeVar("_Rows")
 
 LOCK_TTL_SEC = 120
 """Time after which the schema lock of a program that was killed runs out, s."""
@@ -39,6 +41,8 @@ WAIT_SEC = 150.0
 """Maximum time to wait for the schema lock, s."""
 TELL_SEC = 5.0
 """Time after which a program that waits for the schema lock says so, s."""
+MADE_SEC = 10.0
+"""Maximum time for which a listed table may not be readable yet, s."""
 _TRIES = 8
 CHANGES_A_RENEWAL = 8
 """Number of DDL statements before which the lock is renewed, if it is older than LOCK_RENEWAL_SEC.
@@ -296,7 +300,8 @@ class SideTables:
         if not self.has(table):
             return []
         condition = f" WHERE {where}" if where else ""
-        return self._run(f"SELECT {names} FROM {self.qualified(table)}{condition}", params, what)
+        cql = f"SELECT {names} FROM {self.qualified(table)}{condition}"
+        return _when_made(lambda: self._run(cql, params, what))
 
     def insert(
         self,
@@ -334,7 +339,8 @@ class SideTables:
         if not self.has(table):
             return []
         cql = f"SELECT {names} FROM {self.qualified(table)} WHERE {where}"
-        return self._cassandra.execute_many(cql, params, what=what, retry_sec=self.retry_sec)
+        execute, retry_sec = self._cassandra.execute_many, self.retry_sec
+        return _when_made(lambda: execute(cql, params, what=what, retry_sec=retry_sec))
 
     def delete(self, table: str, key: Sequence[str], values: Sequence[CqlRow], what: str) -> None:
         """Delete the rows with one of some values in the columns of the key."""
@@ -458,6 +464,21 @@ class SideTables:
     def _names(self) -> frozenset[str]:
         rows = self._cassandra.system_schema("tables", "table_name", self.keyspace)
         return frozenset(name for (name,) in rows)
+
+
+def _when_made(read: Callable[[], _Rows]) -> _Rows:
+    """Return what a read of a listed table gives: it is repeated while the table is being made.
+
+    A server lists a new table a moment before it can be read.
+    """
+    deadline = time.monotonic() + MADE_SEC
+    while True:
+        try:
+            return read()
+        except TopicNotFound:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
 
 
 def _warn_of_factor(keyspace: str, replication: Mapping[str, str], factor: int) -> None:
