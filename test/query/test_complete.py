@@ -69,6 +69,8 @@ def taken(text, choice):
         ("select ma| from /fix", ["max("]),
         ("select * from /fix where an|", ["any("]),
         ("select * from /fix order by altitude d|", ["DESC"]),
+        ("select * from /fix where NODE i|", ["IN (", "IS NULL"]),
+        ("select * from /fix where NEAR(1, 2, 3 |", ["IN '"]),
     ],
 )
 def test_what_may_come_is_offered(typed, wanted):
@@ -87,6 +89,8 @@ def test_what_may_come_is_offered(typed, wanted):
         ("|", "DELETE"),
         ("select altitude | from /fix", "*"),
         ("select | from /fix", "any("),
+        ("select * from /fix where NEAR(1, 2, 3 |", "IN ("),
+        ("select * from /fix where NODE |", "IN '"),
     ],
 )
 def test_what_may_not_come_is_not(typed, unwanted):

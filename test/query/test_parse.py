@@ -530,3 +530,23 @@ def test_quoted_text_stays_data(name, value):
     indexed = parse_statement(f'create index "{quoted}" on "{quoted}" ("{quoted}")')
     assert (indexed.name.text, indexed.on.topic, indexed.on.field.text) == (name, name, name)
     assert parse_statement(f'drop index "{quoted}"').index.text == name
+
+
+def test_m_is_a_metre_in_near_and_a_minute_elsewhere():
+    text = "select a from t where t > now() - 20m and near(43.47, -80.54, 20m) and d = 20m"
+    later, near, wait = parse_select(text).condition.items
+    assert near.text == "NEAR(43.47, -80.54, 20m)"
+    assert near.values[2].value == "20m"
+    assert later.value.value > 0
+    assert wait.value.value == DurationNs(20 * 60 * 10**9)
+    # A duration that is no length stays one, which no radius is.
+    assert parse_select("select a from t where near(1, 2, 20ms)").condition.values[2].text == "20ms"
+
+
+def test_in_names_the_frame_of_near():
+    """It is the comma before the frame; a radius may have a unit there, too."""
+    text = "select a from t where near(1, 2, 3m in 'odom', '/odom') and NODE in ('a', 'b')"
+    near, _ = parse_select(text).condition.items
+    assert near.text == "NEAR(1, 2, 3m, 'odom', '/odom')"
+    bound = parse_select("select a from t where near(1, ?, ? in ?)", [2, 3, "odom"]).condition
+    assert bound.text == "NEAR(1, 2, 3, 'odom')"

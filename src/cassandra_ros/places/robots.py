@@ -227,8 +227,7 @@ class RobotFinder:
 
     def _no_topic(self) -> str:
         if self._on_earth and self._robot:
-            fixes = [topic.name for topic in self._stored.topics() if tells_fixes(topic)]
-            similar = nearest(self._robot, fixes)
+            similar = nearest(self._robot, self._fix_topics())
             return f"{self._robot!r} is no stored topic of latitude and longitude{similar}"
         if self._on_earth:
             return (
@@ -242,10 +241,13 @@ class RobotFinder:
 
     def _earth_hint(self) -> str:
         """Say how to ask by latitude and longitude, if these are stored; else ''."""
-        topics = [topic for topic in self._stored.topics() if tells_fixes(topic)]
-        if not topics:
-            return ""
-        return f"; {topics[0].name} tells latitude and longitude: NEAR(latitude, longitude, 20m)"
+        name = next(iter(self._fix_topics()), "")
+        text = f"; {name} tells latitude and longitude: NEAR(latitude, longitude, 20m)"
+        return text if name else ""
+
+    def _fix_topics(self) -> list[str]:
+        """Return the names of all topics of latitude and longitude."""
+        return [topic.name for topic in self._stored.topics() if tells_fixes(topic)]
 
     def usual_frame(self) -> str:
         """Return the most usual frame for places: map or odom, else one that exists.
@@ -259,9 +261,10 @@ class RobotFinder:
         all_frames = {frame for tf in tf_frames for frame in tf.frames} | pose_frames
         tops = [frame for tf in tf_frames for frame in tf.tops]
         usual = [frame for frame in USUAL_FRAMES if frame in all_frames]
-        earth = [WGS84] if any(map(tells_fixes, self._stored.topics())) else []
-        choice = [*usual, *sorted(filter(None, pose_frames)), *tops, *earth, USUAL_FRAMES[0]]
-        return choice[0]
+        frames = [*usual, *sorted(filter(None, pose_frames)), *tops]
+        if frames:
+            return frames[0]
+        return WGS84 if self._fix_topics() else USUAL_FRAMES[0]
 
     def _tf(self) -> list[ArraySource]:
         if self._on_earth:

@@ -47,7 +47,7 @@ def _near(call: ApiCall) -> Json:
     if not 1 <= limit <= MOST_STAYS:
         raise InvalidOption(f"limit is 1 to {MOST_STAYS}, not {limit}")
     places, robot = call.catalog.places, call.text("robot") or ""
-    frame = call.text("frame") or places.usual_frame(robot)
+    frame = (call.text("frame") or places.usual_frame(robot)).lstrip("/")
     low, high = _ends(call)
     stays_found: list[Json] = []
     nodes, writers = call.texts("nodes"), whose_of(call).writers
@@ -70,7 +70,7 @@ def _places(call: ApiCall) -> Json:
         raise InvalidOption(f"points is 2 to {MOST_POINTS}, not {points}")
     places, robot = call.catalog.places, call.text("robot") or ""
     low, high = _ends(call)
-    frame = call.text("frame") or places.usual_frame(robot)
+    frame = (call.text("frame") or places.usual_frame(robot)).lstrip("/")
     tracks = find_tracks(
         places,
         (frame, robot),
