@@ -11,7 +11,7 @@ from datetime import timedelta
 import genpy
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from std_msgs.msg import String
 from suites import examples
@@ -22,6 +22,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.store.tables.registry import Run
 
 pandas = pytest.importorskip("pandas")
 
@@ -72,8 +73,10 @@ def wire_of(n):
 def stored(fresh):
     definition = parse_definition("t/Values", TYPE, None)
     with fresh() as store:
-        for topic, fmt in FORMATS.items():
-            with store.messageWriter(nodeID="r1", format=fmt) as writer:
+        for number, (topic, fmt) in enumerate(FORMATS.items(), 1):
+            run = Run("r1", number, "recording", name="drive")
+            options = {"nodeID": "r1", "format": fmt, "writer_id": number, "run": run}
+            with store.messageWriter(**options) as writer:
                 handle = writer.connect(api_connection(topic, definition, "/x"))
                 for n, ns in enumerate(TIMES[topic]):
                     writer.write(handle, ns, n, wire_of(n))
@@ -121,7 +124,8 @@ def check_rows(frame, times, chosen):
                 assert found == value_of(n, field), name
 
 
-ENDS = st.one_of(st.none(), st.integers(-20, 5000))
+ENDS = st.one_of(st.none(), st.integers(-20, 2000))
+ALL = {"topics": list(FORMATS), "low": None, "high": None, "fields": None}
 SEARCH = settings(
     max_examples=examples(200),
     derandomize=True,
@@ -152,6 +156,8 @@ def within(ns, low, high):
     high=ENDS,
     fields=FIELDS,
 )
+@example(base="/one", near=20, **ALL)
+@example(base="/two", near=3000, **{**ALL, "low": 100, "high": 500})
 def test_the_nearest_messages_are_those_of_a_loop(stored, base, topics, near, low, high, fields):
     fields = fields and {
         name: each for name, each in fields.items() if "/" + name.strip("/") in topics
@@ -178,6 +184,8 @@ def test_the_nearest_messages_are_those_of_a_loop(stored, base, topics, near, lo
     high=ENDS,
     fields=FIELDS,
 )
+@example(step=333_333_333, near=150, **ALL)
+@example(step=100_000_010, near=3000, **{**ALL, "low": 100, "high": 500})
 def test_the_last_messages_before_regular_times_are_those_of_a_loop(
     stored, step, topics, near, low, high, fields
 ):
@@ -203,6 +211,20 @@ def test_the_last_messages_before_regular_times_are_those_of_a_loop(
     times = list(range(first, last + 1, step))
     chosen = {topic: [latest(topic, ns, near * MS) for ns in times] for topic in topics}
     check_rows(frame, times, chosen)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_near_message_may_be_outside_of_the_time_range(stored, sign):
+    """One before the first row, and one after the last."""
+    ns, partner = next(
+        (ns, partner)
+        for ns in TIMES["/one"]
+        for partner in [nearest("/two", ns, SECOND_NS)]
+        if partner is not None and (TIMES["/two"][partner] - ns) * sign > 0
+    )
+    time = Stamp.from_ns(ns)
+    frame = stored.toDataFrame("/two", nearest="/one", key=time, to_key=time, nodeID="r1")
+    assert frame["/two.s"].iloc[0] == value_of(partner, "s")
 
 
 def test_integers_stay_integers_and_equal_times_keep_their_rows(stored):
@@ -251,6 +273,7 @@ def test_robots_are_not_mixed_and_grids_are_bounded(stored, monkeypatch):
     with pytest.raises(InvalidOption, match="several robots"):
         stored.toDataFrame(both, every="1s")
     assert stored.toDataFrame(both, every="1s", nodeID="r2")["/one.KEY"].isna().all()
+    assert stored.toDataFrame(both, every="1s", run="drive")["/other.KEY"].isna().all()
     monkeypatch.setattr(topics_frame, "MAX_GRID_ROWS", 10)
     with pytest.raises(InvalidOption, match="longer every="):
         stored.toDataFrame("/one", every="1s")

@@ -100,7 +100,7 @@ CREATE MACRO nearest(topic, other, within) AS TABLE
 SELECT * EXCLUDE (_before, _after, _since, _until, _side),
   CASE _side WHEN 'before' THEN _before WHEN 'after' THEN _after END AS partner,
   CASE _side WHEN 'before' THEN -_since WHEN 'after' THEN _until END / 1e9 AS apart,
-  coalesce(_side = 'before' AND _since = _until AND _since > 0, false) AS tie
+  coalesce(_side = 'before' AND _since = _until, false) AS tie
 FROM (
   SELECT *, CASE WHEN least(_since, _until) <= epoch_ns(CAST(within AS INTERVAL))
     THEN CASE WHEN _since <= coalesce(_until, _since) THEN 'before' ELSE 'after' END END AS _side
@@ -111,7 +111,7 @@ FROM (
     ASOF LEFT JOIN (FROM query_table('nearest_2_' || hex(other))) _before
       ON _one.NODE = _before.NODE AND _one.KEY >= _before.KEY
     ASOF LEFT JOIN (FROM query_table('nearest_2_' || hex(other))) _after
-      ON _one.NODE = _after.NODE AND _one.KEY <= _after.KEY))
+      ON _one.NODE = _after.NODE AND _one.KEY < _after.KEY))
 """
 _WINDOW = "OVER (PARTITION BY _node, _run, per ORDER BY _key)"
 _LENGTH = f"(ns_of(_key) - lag(ns_of(_key)) {_WINDOW})"
