@@ -108,6 +108,7 @@ def test_nodeID_wherever_it_is_taken(filled):
         lambda node: filled.messageWriter(nodeID=node),
         lambda node: filled.readMessages(nodeID=node),
         lambda node: filled.nearestMessages("/n", "/n", 1, nodeID=node),
+        lambda node: filled.toDataFrame("/n", every=1, nodeID=node),
         lambda node: filled.executeCQL("select * from n", nodeID=node),
         lambda node: filled.executeCQL("delete from n where linear.x = 0", nodeID=node),
         lambda node: filled.iterCQL("select count(*) from n", nodeID=node),

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from suites import examples
 
 from cassandra_ros.client import topics_frame
-from cassandra_ros.errors import InvalidKey, InvalidOption, InvalidQuery, TopicNotFound
+from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
@@ -228,7 +228,7 @@ def test_a_near_message_may_be_outside_of_the_time_range(stored, sign):
 
 
 def test_integers_stay_integers_and_equal_times_keep_their_rows(stored):
-    near = stored.toDataFrame(["/one", "two"], nearest="one", within=0, nodeID="r1")
+    near = stored.toDataFrame(["/one", "two", "/two"], nearest="one", within=0, nodeID="r1")
     assert len(near) == len(TIMES["/one"]) > len(set(TIMES["/one"]))
     assert str(near["/one.big"].dtype) == "uint64" and str(near["/two.big"].dtype) == "UInt64"
     assert near["/one.big"].tolist() == [2**64 - 1 - n for n in range(len(near))]
@@ -250,6 +250,8 @@ def test_within_is_a_second_and_topics_may_be_empty(stored):
     ("arguments", "error", "reason"),
     [
         ({}, InvalidOption, "give every='20ms'"),
+        ({"topics": None}, InvalidName, "topics=None"),
+        ({"topics": ["/one", 5]}, InvalidName, "topic=5"),
         ({"every": "1s", "nearest": "/one"}, InvalidOption, "give every='20ms'"),
         ({"every": 0}, InvalidOption, "above 0"),
         ({"every": "soon"}, InvalidOption, "'soon' is not"),
@@ -265,7 +267,7 @@ def test_within_is_a_second_and_topics_may_be_empty(stored):
 )
 def test_what_is_refused(stored, arguments, error, reason):
     with pytest.raises(error, match=reason):
-        stored.toDataFrame(["/one"], **arguments)
+        stored.toDataFrame(**{"topics": ["/one"], **arguments})
 
 
 def test_robots_are_not_mixed_and_grids_are_bounded(stored, monkeypatch):

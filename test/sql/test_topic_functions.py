@@ -219,7 +219,7 @@ def test_the_arrays_of_joint_states_become_rows(rosCas):
 
 
 def test_yaw_is_the_rotation_about_z(stored):
-    """Quaternions may have any length, and be rolled and pitched; one of zeros gives NULL."""
+    """Quaternions may have any length, and roll and pitch; for one of zeros it is NULL."""
     for scale in (1.0, 0.5, 1e-9):
         for angle in (0.0, 0.1, 1.5, -3.0, math.pi):
             z, w = scale * math.sin(angle / 2), scale * math.cos(angle / 2)

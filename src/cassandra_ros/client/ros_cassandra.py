@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import replace
 from typing import Any, Iterable, Iterator, Mapping, Sequence, Tuple, Union
 
-from cassandra_ros.arguments import check_new_topic, check_text, check_topics
+from cassandra_ros.arguments import check_list, check_new_topic, check_text, check_topics
 from cassandra_ros.client.explanation import Explanation
 from cassandra_ros.client.sql.duck_database import MEMORY
 from cassandra_ros.client.sql.sql_result import SqlResult
@@ -584,7 +584,7 @@ class RosCassandra:
             MissingDependency: pandas is not installed; the text says how to install it.
         """
         optional_module("pandas", "toDataFrame")  # before the messages are read
-        names = check_topics(topics) or []
+        names = check_topics(check_list("topics", topics, "['/scan', '/tf']")) or ()
         if (every is None) == (nearest is None):
             raise InvalidOption(
                 "give every='20ms' for regular times, or nearest='/imu' for its own"

@@ -54,7 +54,7 @@ class TopicsFrame:
         self._within = _length_ns(within)
         self._range = time_range
         self._node, self._run = node, run
-        self._topics = [catalog.get(name) for name in dict.fromkeys(names)]
+        self._topics = list({topic.name: topic for topic in map(catalog.get, names)}.values())
         if fields is not None and not isinstance(fields, Mapping):
             raise InvalidOption(f"fields= is a mapping of topics to fields, not {fields!r:.80}")
         self._fields = {catalog.get(name).name: each for name, each in (fields or {}).items()}

@@ -23,6 +23,7 @@ NEAREST_COLUMNS = ("partner", "apart", "tie")
 """Columns that nearest adds: the message of the second topic, its distance, and whether another
 one is as near. If a field of the first topic has the name, the column gets _1."""
 PARTNERS = (NEAREST_COLUMNS[0], NEAREST_COLUMNS[0] + "_1")
+"""Possible names of the first one of them."""
 JOINT_FIELDS = ("name", "position", "velocity", "effort")
 """Arrays of a message that joints makes rows of."""
 RATE_COLUMNS = "KEY, NODE, RUN"
