@@ -251,7 +251,7 @@ def test_within_is_a_second_and_topics_may_be_empty(stored):
     [
         ({}, InvalidOption, "give every='20ms'"),
         ({"topics": None}, InvalidName, "topics=None"),
-        ({"topics": ["/one", 5]}, InvalidName, "topic=5"),
+        ({"topics": ["/one", 5]}, InvalidName, "5 is not a name of a topic"),
         ({"every": "1s", "nearest": "/one"}, InvalidOption, "give every='20ms'"),
         ({"every": 0}, InvalidOption, "above 0"),
         ({"every": "soon"}, InvalidOption, "'soon' is not"),
