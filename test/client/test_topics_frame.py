@@ -186,6 +186,7 @@ def test_the_nearest_messages_are_those_of_a_loop(stored, base, topics, near, lo
 )
 @example(step=333_333_333, near=150, **ALL)
 @example(step=100_000_010, near=3000, **{**ALL, "low": 100, "high": 500})
+@example(step=100_000_010, near=0, **{**ALL, "high": -1})
 def test_the_last_messages_before_regular_times_are_those_of_a_loop(
     stored, step, topics, near, low, high, fields
 ):
@@ -205,7 +206,7 @@ def test_the_last_messages_before_regular_times_are_those_of_a_loop(
         if ns <= last and (low is None or ns >= first - near * MS)
     ]
     if low is None:
-        first = min(readable, default=0)
+        first = min(readable, default=last + 1)
     if high is None:
         last = max(readable, default=-1)
     times = list(range(first, last + 1, step))

@@ -74,8 +74,8 @@ class TopicsFrame:
         low, high = self._range
         gathered = {t.name: self._gather(t, low - self._within, high) for t in self._topics}
         keys = [fields["KEY"].values for fields in gathered.values() if len(fields["KEY"].values)]
-        if not low:
-            low = min((int(times[0]) for times in keys), default=0)
+        if not low:  # without a message there is no row
+            low = min((int(times[0]) for times in keys), default=MAX_NS + 1)
         if high > MAX_NS:
             high = max((int(times[-1]) for times in keys), default=-1)
         rows = max(0, (high - low) // step_ns + 1)
