@@ -19,7 +19,7 @@ that takes more than SLOW_SEC is in make test all the same.
 from __future__ import annotations
 
 import os
-from importlib.util import find_spec
+from importlib.metadata import version
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -40,9 +40,8 @@ if SUITE not in SUITES:
     raise pytest.UsageError(f"CASSANDRA_ROS_SUITE={SUITE}: it is one of {', '.join(SUITES)}")
 
 
-HAS_SQL = find_spec("duckdb") is not None
-"""Whether statements in SQL run here: they need Python 3.11."""
-needs_sql = pytest.mark.skipif(not HAS_SQL, reason="SQL needs Python 3.11")
+OLD_DUCKDB = version("duckdb").startswith("1.")
+"""Whether this Python has DuckDB 1: doc/sql.md says what that does otherwise than DuckDB 2."""
 
 FEW_FORMATS = ("ros", "packed")
 """The formats that make test asks where all formats would take long: one with a column for each

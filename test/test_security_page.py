@@ -54,7 +54,7 @@ FIGURES = [
     mib(parse.MAX_STATEMENT),
     f"{sql_statement.MAX_STATEMENT_CHARACTERS >> 10} KiB",
     duck_database.MEMORY,
-    duck_database.SPILL,
+    f"{duck_database.SPILL_BYTES // 10**9}GB",
     f"{statement_process.MORE_BYTES >> 30} GiB",
     f"{statement_process.SPILL_BYTES // 10**9} GB",
     f"{statement_process.KEPT_BYTES // 10**9} GB",

@@ -146,7 +146,6 @@ def test_columns_are_drawn_over_another_one_of_them(page):
 
 
 def test_sql_is_asked_over_several_topics(page):
-    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
     window = page("/ask.html")
     window.run(
         "const s = document.querySelector('#ask-language'); s.value = 'sql';"
@@ -184,7 +183,6 @@ def test_sql_is_asked_over_several_topics(page):
 
 
 def test_more_rows_of_sql_are_shown(page):
-    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
     counted = "return document.querySelectorAll('#ask-rows tbody tr').length"
     offered = "return !document.querySelector('#rows-more').hidden"
     click = "document.querySelector('#rows-more').click()"

@@ -21,7 +21,6 @@ import pyarrow.parquet
 import pytest
 from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Duration, Float32, Int64, String, Time, UInt8MultiArray, UInt64
-from suites import needs_sql
 
 from cassandra_ros.messages.classes import message_class
 from cassandra_ros.messages.connection_header import live_connection
@@ -308,7 +307,7 @@ def test_only_of_one_node(call, rosCas):
     )
 
 
-@pytest.mark.parametrize("verb", ["query", pytest.param("sql", marks=needs_sql)])
+@pytest.mark.parametrize("verb", ["query", "sql"])
 def test_the_ending_of_the_file_chooses_the_format(call, texts, tmp_path, verb):
     def written(name, *more):
         path = tmp_path / f"{verb}_{name}"

@@ -17,8 +17,6 @@ from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
 
-pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
-
 T0 = 1_600_000_000 * SECOND_NS
 
 

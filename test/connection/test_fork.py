@@ -10,7 +10,6 @@ import pickle
 
 import pytest
 from std_msgs.msg import String
-from suites import HAS_SQL, needs_sql
 
 import cassandra_ros
 from cassandra_ros import errors
@@ -59,8 +58,7 @@ def pickled(value):
 def stored(rosCas):
     topic = rosCas.addTopic("/a")
     topic.addData(String("x"), key=1)
-    if HAS_SQL:
-        rosCas.sql("SELECT data FROM a").fetchall()
+    rosCas.sql("SELECT data FROM a").fetchall()
     return rosCas
 
 
@@ -75,9 +73,7 @@ USES = {
 }
 
 
-@pytest.mark.parametrize(
-    "use", [pytest.param(use, marks=[needs_sql] * (use == "sql")) for use in sorted(USES)]
-)
+@pytest.mark.parametrize("use", sorted(USES))
 def test_a_fork_of_a_client_says_at_once_what_to_do(stored, use):
     answer = in_child(lambda: USES[use](stored))
     assert isinstance(answer, (ConnectionFailed, WriteFailed))

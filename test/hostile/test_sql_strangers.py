@@ -30,8 +30,6 @@ from cassandra_ros.client.sql.statement_processes import (
 from cassandra_ros.read import EVERYBODY
 from cassandra_ros.viewing.viewer_settings import DEFAULT_THREADS
 
-pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
-
 pytestmark = [pytest.mark.suite("all", "statements that take seconds"), pytest.mark.search]
 
 MOST_KB = 500_000

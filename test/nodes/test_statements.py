@@ -342,7 +342,6 @@ def test_a_statement_is_explained(read, client):
 
 @pytest.mark.suite("test", "~sql")
 def test_sql_is_answered_within_its_bounds(read, write, client):
-    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
     def ask(statement, **more):
         return client.call("/reading/sql", statement=statement, **more)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 
+import duckdb
 import pandas as pd
 import pyarrow.dataset
 import pyarrow.parquet as pq
@@ -24,8 +25,6 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.tables.registry import Run
-
-duckdb = pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
 DAY = 86_400 * SECOND_NS
 T0 = 18_500 * DAY - 5 * SECOND_NS

@@ -12,7 +12,7 @@ import struct
 import sys
 import tempfile
 import threading
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 import genpy
 import numpy as np
@@ -24,6 +24,7 @@ from proxy import Proxy
 from query.carets import check_caret
 from sensor_msgs.msg import BatteryState, Imu, NavSatFix
 from std_msgs.msg import String, UInt64
+from suites import OLD_DUCKDB
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
@@ -45,8 +46,6 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp, to_ns
 from cassandra_ros.topics import event_finder
-
-pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
 T0 = 1_600_000_000 * SECOND_NS
 
@@ -123,7 +122,7 @@ def test_values_are_exact(robot):
         "SELECT KEY - INTERVAL 1 SECOND, max(KEY) OVER () - KEY, header FROM battery LIMIT 1"
     )
     before, length, header = row.fetchall()[0]
-    assert before == at(-1)
+    assert before == (datetime(2020, 9, 13, 12, 26, 39) if OLD_DUCKDB else at(-1))
     assert length == timedelta(seconds=8)
     assert header["stamp"] == Stamp.from_ns(0)
     ((old,),) = robot.sql("SELECT TIMESTAMP_NS '1960-01-01 00:00:00.000000001'").fetchall()
@@ -132,9 +131,15 @@ def test_values_are_exact(robot):
 
 def test_differences_of_times_are_durations_that_can_be_computed_with(robot):
     """Below zero, too; shown as the query language shows a duration."""
-    asked = """SELECT min(KEY) - max(KEY), avg(KEY - TIMESTAMP_NS '2020-09-13 12:26:40') / 2
+    asked = """SELECT min(KEY) - max(KEY), {mean} / 2
         FROM battery WHERE KEY - TIMESTAMP_NS '2020-09-13 12:26:40' >= INTERVAL 0 SECOND"""
-    ((back, mean),) = robot.sql(asked).fetchall()
+    mean = "avg(KEY - TIMESTAMP_NS '2020-09-13 12:26:40')"
+    if OLD_DUCKDB:
+        with pytest.raises(InvalidQuery, match=r"no mean of intervals; take that of epoch_us"):
+            robot.sql(asked.format(mean=mean))
+        mean = mean.replace("avg(", "to_microseconds(CAST(avg(epoch_us(")
+        mean = mean.replace(")", ")) AS BIGINT))")
+    ((back, mean),) = robot.sql(asked.format(mean=mean)).fetchall()
     assert (back, mean) == (timedelta(seconds=-8), timedelta(seconds=2))
     assert printable_value(back) == genpy.Duration(-8, 0)
     assert printable_value([timedelta(microseconds=-8646)]) == [genpy.Duration(-1, 991354000)]
@@ -264,7 +269,8 @@ def test_a_message_has_the_names_of_its_events(robot):
         ("'bump' IN EVENT AND linear_acceleration.z > 15", 3, 21),
         ("('bump' IN EVENT OR 'none' IN EVENT) AND NODE = 'r1'", 21, 21),
         ("'none' IN EVENT", 0, 0),
-        ("'' IN EVENT", 0, 0),
+        ("list_contains(EVENT, '')", 0, 0),
+        *([] if OLD_DUCKDB else [("'' IN EVENT", 0, 0)]),
         ("'bump' NOT IN EVENT", 79, 100),
         ("len(EVENT) > 0", 90, 100),
         ("EVENT = ['bump']", 20, 100),
@@ -394,8 +400,12 @@ REFUSED = {
     "SELECT voltage + 'x' FROM battery": "convert|Could not|No function",
     "SELECT KEY FROM battery WHERE KEY < '3000-01-01'": "convert string '3000-01-01'",
     "SELECT KEY FROM battery WHERE KEY < TIMESTAMP '9999-12-31'": "convert Timestamp",
-    "SELECT KEY + INTERVAL 300 YEAR FROM battery": "Cannot add interval",
 }
+if not OLD_DUCKDB:
+    REFUSED["SELECT KEY + INTERVAL 300 YEAR FROM battery"] = "Cannot add interval"
+if sys.version_info < (3, 9):
+    REFUSED["SELECT #2 FROM battery"] = r"its number \(#1\) needs Python 3.9"
+    REFUSED["TABLE battery"] = "takes a SELECT"
 
 
 @pytest.mark.parametrize("text", REFUSED)
@@ -468,8 +478,9 @@ def test_frames_with_odd_names(rosCas):
     for child, x in (("robot.base", 1.0), ('a"b', 2.0), ("A", 3.0)):
         asked = f"SELECT translation.x FROM tf('map', '{child}')"
         assert rosCas.sql(asked).fetchall() == [(x,)]
-    with pytest.raises(InvalidQuery, match="case only"):
-        rosCas.sql("SELECT * FROM tf('map', 'A') UNION ALL SELECT * FROM tf('map', 'a')")
+    of = "SELECT translation.x FROM tf('map', {})"
+    both = f"{of.format(repr('A'))} UNION ALL {of.format(repr('a'))} ORDER BY x"
+    assert rosCas.sql(both).fetchall() == [(3.0,), (4.0,)]
 
 
 def test_a_topic_called_map_and_fields_called_like_types(rosCas):
@@ -489,6 +500,10 @@ def test_a_topic_called_map_and_fields_called_like_types(rosCas):
 def test_a_table_of_with_hides_a_topic(robot):
     inner = "SELECT voltage + 1 AS v FROM battery WHERE voltage > 11.7"
     text = f"WITH battery AS ({inner}) SELECT count(v) FROM battery"
+    if OLD_DUCKDB:
+        with pytest.raises(InvalidQuery, match="name it otherwise"):
+            robot.sql(text)
+        text = text.replace("battery", "b").replace("FROM b W", "FROM battery W")
     assert robot.sql(text).fetchall() == [(2,)]
 
 
@@ -530,8 +545,8 @@ def test_a_statement_that_is_stopped_while_it_begins_ends(robot):
 
 
 def test_a_statement_that_is_stopped_reads_no_further(fresh):
-    """DuckDB reads ahead, about a megabyte of forty."""
-    total, text = 40_000, b"x" * 1000
+    """DuckDB reads ahead, a batch for each of its threads and one more."""
+    total, text = 80_000, b"x" * 1000
     wire = len(text).to_bytes(4, "little") + text
     with fresh() as store:
         with store.messageWriter(format="packed") as writer:
@@ -575,7 +590,7 @@ def test_a_sort_that_does_not_fit_into_memory_goes_to_disk(robot, monkeypatch):
     """DuckDB writes its temporary files though it may open no other file."""
     text = "SELECT count(*) FROM (SELECT n FROM range(3000000) t(n) ORDER BY hash(n) OFFSET 1)"
     assert robot.sql(text, memory="30MB").fetchall() == [(2_999_999,)]
-    monkeypatch.setattr(duck_database, "SPILL", "1MB")
+    monkeypatch.setattr(duck_database, "SPILL_BYTES", 10**6)
     with pytest.raises(AnswerTooLarge, match="memory or disk"):
         robot.sql(text, memory="30MB").fetchall()
 
@@ -610,8 +625,8 @@ def test_duckdb_itself_is_locked(text):
 
 @pytest.mark.suite("all", "it waits for seconds")
 def test_endless_recursion_ends_at_the_bound(robot, monkeypatch):
-    monkeypatch.setattr(duck_database, "SPILL", "1MB")
-    inner = "SELECT 1 AS n UNION ALL SELECT n + 1 FROM r"
+    monkeypatch.setattr(duck_database, "SPILL_BYTES", 10**6)
+    inner = "SELECT 1 AS n, repeat('x', 1000) AS s UNION ALL SELECT n + 1, s FROM r"
     text = f"WITH RECURSIVE r AS ({inner}) SELECT * FROM r ORDER BY n"
     with pytest.raises(AnswerTooLarge, match="memory or disk"):
         robot.sql(text, memory="20MB").fetchall()
@@ -632,12 +647,6 @@ def test_nothing_is_left_behind(robot, monkeypatch, tmp_path):
 def test_a_missing_package_is_named(robot, monkeypatch, name):
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(MissingDependency, match=rf"(?s){name}.*requirements/tables.txt"):
-        robot.sql("SELECT 1")
-
-
-def test_an_old_python_is_named(robot, monkeypatch):
-    monkeypatch.setattr(duck_database, "_OLDEST", (9, 9))
-    with pytest.raises(MissingDependency, match="DuckDB 2"):
         robot.sql("SELECT 1")
 
 
@@ -675,9 +684,12 @@ def test_times_are_exact_to_the_nanosecond_or_refused(rosCas):
             rows(condition, *params)
     zoned = f"TIMESTAMPTZ '{there.replace('582676', '582000')}'::TIMESTAMP"
     assert rows(f"KEY >= {zoned}") == [(0,), (1,), (2,)]
-    second = f"KEY - ? = TIMESTAMP_NS '{utc.replace('20.', '19.')}'"
+    shown, equal = utc.replace("20.", "19."), [(1,)]
+    if OLD_DUCKDB:  # it subtracts in microseconds
+        shown, equal = shown[:-3], [(0,), (1,), (2,)]
+    second = f"KEY - ? = TIMESTAMP_NS '{shown}'"
     for length in (genpy.Duration(1), np.timedelta64(1, "s"), timedelta(seconds=1)):
-        assert rows(second, length) == [(1,)]
+        assert rows(second, length) == equal
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,16 @@ import math
 import random
 import re
 import struct
+import sys
 from functools import partial
 
+import duckdb
 import numpy as np
 import pyarrow
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from suites import examples, sparing
+from suites import OLD_DUCKDB, examples, sparing
 
 from cassandra_ros.client.sql.python_values import python_rows
 from cassandra_ros.client.sql.sql_result import SqlResult
@@ -25,8 +27,6 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import EVERYBODY
-
-duckdb = pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
 T0 = 1_600_000_000 * SECOND_NS
 BEFORE = "float32 f\nfloat64 d\nint32 i\nuint64 u\nint64 l\nbool b\nstring s\ntime t\n"
@@ -119,12 +119,16 @@ def stored(fresh):
             store.addEvent(name, moment_of(low), moment_of(high), nodeID=robot)
         whole = duckdb.connect()
         whole.execute("SET TimeZone = 'UTC'")
+        if OLD_DUCKDB:  # with the numbers of rows, too, it gives wrong ones for a SEMI JOIN
+            whole.execute("SET disabled_optimizers = 'build_side_probe_side'")
         for name in ("a", "b", "c"):
             table = store.getTopic(name).toArrow().read_all()
             events = pyarrow.array(event_names(table), pyarrow.list_(pyarrow.string()))
             table = table.add_column(3, "EVENT", events)
-            whole.register(name, table)
-            whole.register("/" + name, table)
+            # Tables of DuckDB itself, as DuckDB 1 pushes conditions into those of pyarrow.
+            whole.register("given", table)
+            for spelled in (name, f"/{name}"):
+                whole.execute(f'CREATE TABLE "{spelled}" AS FROM given')
         yield store, whole
 
 
@@ -150,7 +154,8 @@ def number(rng):
     )()
 
 
-INTERVALS = ["1 second", "2 s", "0 days 00:00:03", "1 day 23:59:58", "-1 day -23:59:58", "1"]
+INTERVALS = ["1 second", "2 s", "0 days 00:00:03", "1 day 23:59:58", "-1 day -23:59:58"]
+INTERVALS += [] if OLD_DUCKDB else ["1"]  # an error there, if it is computed
 """Texts of intervals, some of which sqlglot reads only in part."""
 
 
@@ -331,7 +336,7 @@ def test_statements_of_the_search_are_bounded_and_match(stored):
 
 
 UNUSUAL = [
-    "SELECT #2, #4 FROM a",
+    *([] if sys.version_info < (3, 9) else ["SELECT #2, #4 FROM a", "TABLE a"]),
     "SELECT x FROM a x",
     "SELECT a FROM a",
     "SELECT x.* FROM a x",
@@ -345,7 +350,6 @@ UNUSUAL = [
     "SELECT count(*) FROM a NATURAL JOIN b",
     "SELECT count(*) FROM a JOIN b USING (NODE, i)",
     "FROM a",
-    "TABLE a",
     "FROM a SELECT i",
     "SELECT i AS d FROM a WHERE d > 50",
     "SELECT i AS v FROM a WHERE v > 30",

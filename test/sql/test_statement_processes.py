@@ -29,8 +29,6 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.read import EVERYBODY, Whose
 
-pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
-
 ENDLESS = "WITH RECURSIVE r AS (SELECT 1 AS n UNION ALL SELECT n + 1 FROM r) SELECT max(n) FROM r"
 CRASH = "SELECT json_contains(repeat('[', 1000000) || repeat(']', 1000000), '1')"
 """DuckDB parses JSON by recursion: it overflows its stack."""

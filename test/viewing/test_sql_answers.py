@@ -16,8 +16,6 @@ from viewers import running_viewer
 
 from cassandra_ros.client.sql.statement_processes import STATEMENTS_AT_ONCE, SqlAnswer
 
-pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
-
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
 ENDLESS = "WITH RECURSIVE r AS (SELECT 1 AS n UNION ALL SELECT n + 1 FROM r) SELECT max(n) FROM r"

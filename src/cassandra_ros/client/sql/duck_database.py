@@ -11,32 +11,30 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-import sys
 import tempfile
 import time
 from contextlib import suppress
 from typing import Any
 
+from cassandra_ros.client.sql import old_duckdb
 from cassandra_ros.client.sql.topic_functions import MACROS
-from cassandra_ros.errors import MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.places.earth import RADIUS_M
 
 MEMORY = "384MB"
 """Memory of DuckDB for one statement; joins and sorts of more go to disk."""
-SPILL = "32GB"
-"""Maximum size of what goes to disk."""
+SPILL_BYTES = 32 * 10**9
+"""Maximum size of what goes to disk, bytes."""
 _PREFIX = "cassandra_ros_sql_"
 _NEW_SEC = 60.0
 """Age of a folder from which it is locked, if its process is running, s."""
-_OLDEST = (3, 11)
-"""Oldest Python for which there is a DuckDB 2; older releases of DuckDB push conditions into what
-they scan, and compare NaN and joined keys wrongly there."""
+_SETTINGS = ("SET asof_loop_join_threshold = 0",)
+"""The number of rows is unknown to DuckDB: it would compare each with each."""
 
 _TF = (
-    "CREATE MACRO tf(target, source) AS TABLE FROM "
-    """query_table('"tf ' || replace(target || ' ' || source, '"', '""') || '"')"""
+    "CREATE MACRO tf(target, source) AS TABLE "
+    "FROM query_table('tf_' || hex(target) || '_' || hex(source))"
 )
 CONSTANT = (
     "CREATE MACRO constant(msg_type, named) AS "
@@ -64,6 +62,11 @@ def _distance_macro() -> str:
         f"CREATE MACRO lat_lon_distance({', '.join(names)}) AS {metres(*names)}, "
         f"(a, b) AS {metres(*fields)}"
     )
+
+
+def frames_table(target: str, source: str) -> str:
+    """Return the name of the table that tf('target', 'source') reads."""
+    return f"tf_{target.encode().hex()}_{source.encode().hex()}"
 
 
 def _clock_macros(ns: int) -> list[str]:
@@ -95,6 +98,15 @@ class SpillFolder:
         self._lock = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
         fcntl.flock(self._lock, fcntl.LOCK_EX)
 
+    def size(self) -> int:
+        """Return the size of the files in it, bytes."""
+        total = 0
+        for folder, _, names in os.walk(self.path):
+            for name in names:
+                with suppress(FileNotFoundError):  # it was deleted meanwhile
+                    total += os.stat(os.path.join(folder, name)).st_size
+        return total
+
     def close(self) -> None:
         """Delete it. Can be repeated."""
         lock, self._lock = self._lock, -1
@@ -125,7 +137,7 @@ class DuckDatabase:
     Args:
         memory: Its memory, as DuckDB writes it: '384MB'.
         folder: Folder for what goes to disk; None = the system's folder for temporary files.
-        spill: Maximum size of that, as DuckDB writes it; None = SPILL.
+        spill: Maximum size of that, bytes; None = SPILL_BYTES.
 
     Attributes:
         connection: DuckDB's connection.
@@ -136,23 +148,17 @@ class DuckDatabase:
     """
 
     def __init__(
-        self, memory: str = MEMORY, folder: str | None = None, spill: str | None = None
+        self, memory: str = MEMORY, folder: str | None = None, spill: int | None = None
     ) -> None:
-        if sys.version_info < _OLDEST:
-            raise MissingDependency(
-                "sql needs DuckDB 2, which needs Python 3.11 or later: ask from a machine that "
-                "has it, or use executeCQL, toArrow or 'cassandra_bag export --parquet' here"
-            )
         self.duckdb: Any = optional_module("duckdb", "sql")
+        self._is_old = self.duckdb.__version__.startswith("1.")
+        self._spill_bytes = SPILL_BYTES if spill is None else spill
         self._folder = SpillFolder(folder)
         try:
-            self.connection: Any = self.duckdb.connect(
-                ":memory:", config=self._config(memory, spill or SPILL)
-            )
+            self.connection: Any = self.duckdb.connect(":memory:", config=self._config(memory))
             for statement in (
                 "SET TimeZone = 'UTC'",
-                # The number of rows is unknown to DuckDB: it would compare each with each.
-                "SET asof_loop_join_threshold = 0",
+                *(old_duckdb.SETTINGS if self._is_old else _SETTINGS),
                 *_clock_macros(time.time_ns()),
                 _TF,
                 _distance_macro(),
@@ -165,11 +171,11 @@ class DuckDatabase:
             self._folder.close()
             raise
 
-    def _config(self, memory: str, spill: str) -> dict[str, Any]:
+    def _config(self, memory: str) -> dict[str, Any]:
         return {
             "memory_limit": memory,
             "temp_directory": self._folder.path,
-            "max_temp_directory_size": spill,
+            "max_temp_directory_size": f"{self._spill_bytes}B",
             "autoinstall_known_extensions": "false",
             "autoload_known_extensions": "false",
             "preserve_insertion_order": "false",
@@ -185,7 +191,34 @@ class DuckDatabase:
         """
         types = self.duckdb.StatementType
         kinds = [statement.type for statement in self.connection.extract_statements(text)]
-        return kinds == [types.SELECT] or (pivots and kinds == [types.MULTI])
+        pivot = [types.CREATE, types.SELECT] if self._is_old else [types.MULTI]
+        return kinds == [types.SELECT] or (pivots and kinds == pivot)
+
+    def add_table(self, name: str, source: Any) -> None:
+        """Give DuckDB an object with Arrow's C stream interface as a table, read for each scan."""
+        if self._is_old:
+            old_duckdb.add_table(self.connection, name, source)
+        else:
+            self.connection.register(name, source)
+
+    def select(self, text: str, params: Any) -> Any:
+        """Have DuckDB check a statement; return it as a relation of DuckDB, not yet run."""
+        if self._is_old:
+            return old_duckdb.Select(self.connection, text, params)
+        return self.connection.sql(text, params=params or None)
+
+    def check_spill(self) -> None:
+        """Check that no more is on disk than may be; DuckDB 1 does not count the rows it sorts.
+
+        Raises:
+            duckdb.OutOfMemoryException: It is more.
+        """
+        if self._is_old and self._folder.size() > self._spill_bytes:
+            raise self.duckdb.OutOfMemoryException(f"more than {self._spill_bytes} bytes on disk")
+
+    def advice(self, reason: str) -> str:
+        """Return what to do about an error, if another DuckDB would not have it; '' = it would."""
+        return old_duckdb.advice(reason) if self._is_old else ""
 
     def value(self, expression: str, params: Any) -> Any:
         """Return the value of an expression without columns; None = it has none, or an error."""

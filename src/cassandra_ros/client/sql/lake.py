@@ -307,7 +307,7 @@ def _digest_of(source: TopicSource | _FileSource) -> tuple[int, int | None]:
     """
     database = DuckDatabase()
     try:
-        database.connection.register("messages", source)
+        database.add_table("messages", source)
         statement = "SELECT count(*), sum(hash(m)::HUGEINT) FROM messages m"
         ((count, digest),) = database.connection.execute(statement).fetchall()
         return count, digest

@@ -313,6 +313,9 @@ class _ConditionFinder:
             return self._in_event(node.this, node.args["field"], names)
         if isinstance(node, exp.ArrayContains):
             return self._in_event(node.expression, node.this, names)
+        if isinstance(node, exp.Anonymous) and node.name.lower() == "list_contains":
+            if len(node.expressions) == 2:  # as sqlglot for Python 3.8 reads it
+                return self._in_event(node.expressions[1], node.expressions[0], names)
         operator = type(node).__name__
         if operator in _MIRRORED:
             read = self._comparison_bounds(operator, node.left, node.right, names)

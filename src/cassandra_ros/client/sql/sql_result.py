@@ -13,7 +13,7 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar, Union
 
-from cassandra_ros.client.sql.duck_database import CONSTANT, MEMORY, DuckDatabase
+from cassandra_ros.client.sql.duck_database import CONSTANT, MEMORY, DuckDatabase, frames_table
 from cassandra_ros.client.sql.event_names import EVENT
 from cassandra_ros.client.sql.frame_source import FrameSource
 from cassandra_ros.client.sql.listed_tables import LISTED, listed_source
@@ -96,7 +96,7 @@ class SqlResult:
         memory: str = MEMORY,
         pushdown: bool = True,
         folder: str | None = None,
-        spill: str | None = None,
+        spill: int | None = None,
         watch: Watch = unwatched,
     ) -> None:
         self._arrow = load_arrow("sql")
@@ -249,21 +249,16 @@ class _Run:
             constants = listed_source(load_arrow("sql"), self._catalog, "constants")
             self.sources.setdefault("constants", constants)
         for target, frame in statement.frames():
-            name = f"tf {target} {frame}"
-            for other in self.sources:
-                if other != name and other.lower() == name.lower():
-                    reason = f"{other} and {name} differ by case only, which SQL ignores"
-                    raise InvalidQuery(statement.text, 0, reason)
             poses = FrameSource(self._catalog, self._whose, target, frame, self._look)
-            self.sources[name] = poses
+            self.sources[frames_table(target, frame)] = poses
         for name, source in self.sources.items():
-            connection.register(name, source)
+            self._database.add_table(name, source)
         if statement.calls("constant"):
             connection.execute(CONSTANT)
         if pushdown:
             self._push()
         with self._errors():
-            self.relation = connection.sql(statement.text, params=statement.params or None)
+            self.relation = self._database.select(statement.text, statement.params)
 
     def _find_tables(self, needed: Wanted | None, pushdown: bool) -> None:
         own_tables = self._statement.own_tables()
@@ -357,6 +352,7 @@ class _Run:
             self._work = future
             while True:
                 self._watch()
+                self._database.check_spill()
                 if futures.wait([future], _LOOK_SEC).done:
                     return future.result()
 
@@ -401,6 +397,7 @@ class _Run:
                 "; a time is a text in UTC, '2013-05-08 14:06:20.238582676', or of a number "
                 "make_timestamp_ns(NANOSECONDS)"
             )
+        reason += self._database.advice(reason)
         return InvalidQuery(statement.text, _caret(statement.text, text), reason)
 
     def _known_columns(self) -> list[str]:
@@ -498,7 +495,8 @@ def names_column(tree: Any, name: str) -> bool:
 
 
 def _reads_all(exp: Any, tree: Any) -> bool:
-    if tree.find(exp.Columns, exp.Pivot, exp.PositionalColumn) is not None:
+    by_number = getattr(exp, "PositionalColumn", exp.Columns)  # sqlglot for Python 3.8 lacks it
+    if tree.find(exp.Columns, exp.Pivot, by_number) is not None:
         return True
     if any(a.columns and isinstance(a.parent, exp.Table) for a in tree.find_all(exp.TableAlias)):
         return True  # names for the columns in their order

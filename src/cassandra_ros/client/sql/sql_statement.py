@@ -123,6 +123,8 @@ class SqlStatement:
             reason = first.get("description") or str(exc)
             if self.text[spot : spot + 1] == "/":
                 reason = 'quote the name of a topic with slashes: "/imu/data"'
+            elif self.text[spot : spot + 1] == "#":
+                reason = "name the column: its number (#1) needs Python 3.9 or later"
             raise InvalidQuery(self.text, spot, reason) from exc
         except RecursionError as exc:
             raise InvalidQuery(self.text, 0, "the statement is nested too deeply") from exc

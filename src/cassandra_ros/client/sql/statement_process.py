@@ -170,7 +170,7 @@ class _Answering:
             params,
             whose,
             folder=self._folder,
-            spill=f"{spill}B",
+            spill=spill,
             watch=self._look,
         )
         yield json_frame(COLUMNS, {"columns": result.columns})
