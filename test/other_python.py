@@ -45,7 +45,10 @@ SAME = {
     "test/test_installed.py": "installs beside the distribution's ROS",
     "test/test_imports.py": "reads the sources, the same for each Python",
     "test/test_architecture.py": "reads the sources, the same for each Python",
-    "test/pages": "types what the pages say, in the workspace of make setup",
+    **{
+        f"test/pages/test_{name}.py": "types what the pages say, in the workspace of make setup"
+        for name in ("listings", "pages", "tutorial")
+    },
     "test/benchmark": "make bench runs under the distribution's Python",
 }
 """Tests that another Python would do no other way, and why."""

@@ -216,9 +216,9 @@ class DuckDatabase:
         if self._is_old and self._folder.size() > self._spill_bytes:
             raise self.duckdb.OutOfMemoryException(f"more than {self._spill_bytes} bytes on disk")
 
-    def advice(self, reason: str) -> str:
-        """Return what to do about an error, if another DuckDB would not have it; '' = it would."""
-        return old_duckdb.advice(reason) if self._is_old else ""
+    def advice(self, reason: str, statement: str) -> str:
+        """Return what to do about an error that only DuckDB 1 has; '' = every DuckDB has it."""
+        return old_duckdb.advice(reason, statement) if self._is_old else ""
 
     def value(self, expression: str, params: Any) -> Any:
         """Return the value of an expression without columns; None = it has none, or an error."""

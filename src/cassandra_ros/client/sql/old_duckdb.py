@@ -25,17 +25,20 @@ SETTINGS = ("SET disabled_optimizers = 'join_filter_pushdown, build_side_probe_s
 exchanges the sides of a join by their numbers of rows, which are unknown; a SEMI JOIN by = and <
 then has other rows."""
 _ADVICE = {
-    "avg(INTERVAL)": "it has no mean of intervals; take that of epoch_us(…), in microseconds",
-    "Circular reference to CTE": "there WITH cannot hide a topic that it reads: name it otherwise",
-    "Scalar Function with name try ": "there a division by zero is NULL without it",
+    r"avg\(INTERVAL\)": "it has no mean of intervals; take that of epoch_us(…), in microseconds",
+    "Circular reference to CTE": "WITH hides no topic that it reads: give the table another name",
+    "Function with name try ": "there a division by zero is NULL without TRY",
+    r"syntax error.*\n.*\blambda\b": "write lambda r: r + 1 as r -> r + 1",
 }
+"""What to do about errors, by what is found in the error and the statement."""
 _ALL_ROWS = 2**63 - 1
 _LINE = re.compile(r"^LINE (\d+)(?=: )", re.MULTILINE)
 
 
-def advice(reason: str) -> str:
+def advice(reason: str, statement: str) -> str:
     """Return what to do about an error that DuckDB 2 would not have; '' = it would."""
-    texts = (text for part, text in _ADVICE.items() if part in reason)
+    both = f"{reason}\n{statement}"
+    texts = (text for pattern, text in _ADVICE.items() if re.search(pattern, both, re.DOTALL))
     return next((f" (this Python has DuckDB 1: {text})" for text in texts), "")
 
 

@@ -397,7 +397,7 @@ class _Run:
                 "; a time is a text in UTC, '2013-05-08 14:06:20.238582676', or of a number "
                 "make_timestamp_ns(NANOSECONDS)"
             )
-        reason += self._database.advice(reason)
+        reason += self._database.advice(reason, statement.text)
         return InvalidQuery(statement.text, _caret(statement.text, text), reason)
 
     def _known_columns(self) -> list[str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 import re
+import sys
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, Iterator, Mapping, Sequence, Union
@@ -33,6 +34,8 @@ TABLE_FUNCTIONS = {"range", "generate_series", "unnest", "tf", *TOPIC_FUNCTIONS}
 """Functions that may stand in FROM. All others could read files."""
 _ONE_UNIT = re.compile(r"\s*-?\d+\s*[A-Za-z]*\s*")
 """Texts of intervals that sqlglot reads as DuckDB does; of others it drops the time of day."""
+_UNREAD = re.compile(r"\blambda\b|%|#\d", re.IGNORECASE)
+"""What sqlglot for Python 3.8 cannot read."""
 _ZONED_TIME = re.compile(
     r"\d{4}-\d{2}-\d{2}[Tt ]\d{2}:\d{2}(?::\d{2}(?:\.(?P<fraction>\d+))?)?"
     r"\s*(?P<zone>[Zz]|[+-]\d{2}(?::?\d{2})?)?"
@@ -123,8 +126,8 @@ class SqlStatement:
             reason = first.get("description") or str(exc)
             if self.text[spot : spot + 1] == "/":
                 reason = 'quote the name of a topic with slashes: "/imu/data"'
-            elif self.text[spot : spot + 1] == "#":
-                reason = "name the column: its number (#1) needs Python 3.9 or later"
+            elif sys.version_info < (3, 9) and _UNREAD.search(self.text):
+                reason += "; Python 3.8 reads no lambda, no LIMIT in %, no column by its number"
             raise InvalidQuery(self.text, spot, reason) from exc
         except RecursionError as exc:
             raise InvalidQuery(self.text, 0, "the statement is nested too deeply") from exc
