@@ -46,7 +46,7 @@ from cassandra_ros.store.connection.address import from_environment
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_adder import clock_ns
-from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.message_writer import Handle
 from cassandra_ros.topics.stored_row import StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import TopicInfo
 
@@ -164,6 +164,196 @@ EVERYTHING = _Everything.EVERYTHING
 FileName = Union[str, bytes, "os.PathLike[str]", IO[bytes]]
 
 
+class RunContents:
+    """What some runs of a keyspace hold: topics, connections, counts and times.
+
+    Args:
+        store: The keyspace.
+        name: Name of the bag, for errors.
+        node: nodeID of the robot whose messages count; None = all robots.
+        run: Writer ids of the runs; None = all.
+    """
+
+    def __init__(
+        self, store: RosCassandra, name: str, node: str | None, run: frozenset[int] | None
+    ) -> None:
+        self._store, self._name, self._node, self._run = store, name, node, run
+
+    def topics(self, names: TopicNames) -> list[CassandraTopic]:
+        """Return the stored topics that rosbag selects by these names; no name = all of them."""
+        stored = self._store.getAllTopics()
+        wanted = [] if names is None else check_list("topics", names, "['/tf']")
+        if not wanted or (isinstance(names, str) and not names):
+            return list(stored)
+        selected = {_canonical(check_topic(name)) for name in wanted}
+        return [t for t in stored if not selected.isdisjoint((t.name, _canonical(t.name)))]
+
+    def filter_connections(
+        self, topics: Sequence[CassandraTopic], test: ConnectionFilter
+    ) -> tuple[list[CassandraTopic], set[tuple[str, int]]]:
+        """Apply a filter to the connections of topics.
+
+        Returns:
+            The topics with at least one accepted connection, and the accepted connections as
+            (table name, ``_conn``).
+        """
+        named = {table.name: topic.name for topic in topics for table in topic.tables}
+        passing = {
+            (table, conn)
+            for table, conn, connection in self.connections(topics)
+            if test(*_describe(0, named[table], connection)[1:])
+        }
+        tables = {table for table, _ in passing}
+        return [t for t in topics if any(table.name in tables for table in t.tables)], passing
+
+    def connections(
+        self, topics: Sequence[CassandraTopic]
+    ) -> Iterator[tuple[str, int, Connection]]:
+        """Yield table, ``_conn`` and connection of all connections of topics."""
+        tables = {table.name for topic in topics for table in topic.tables}
+        return self._store.catalog.keyspace.connections.of_tables(tables)
+
+    def held_connections(
+        self, topics: Iterable[CassandraTopic]
+    ) -> Iterator[tuple[str, Connection]]:
+        """Yield the connections that have messages in the bag, with the names of their topics."""
+        for topic in topics:
+            missing = {
+                (table, conn): connection for table, conn, connection in self.connections([topic])
+            }
+            rows = topic.rows(nodeID=self._node, run=self._run, columns=lambda table: ())
+            for row in rows:
+                connection = missing.pop((row.table.name, row.conn), None)
+                if connection is not None:
+                    yield topic.name, connection
+                if not missing:
+                    break
+
+    def rows_received(
+        self, topics: Sequence[CassandraTopic], start: Time | None, end: Time | None
+    ) -> Iterator[StoredRow]:
+        """Yield the rows of topics of a time range, ends included, by their receive times."""
+        names, node, run = [topic.name for topic in topics], self._node, self._run
+        return self._store.readMessages(names, start, end, nodeID=node, run=run, received=True)
+
+    def sample(self, topic: CassandraTopic) -> MessageSample:
+        """Return what the first MOST_STAMPS messages of a topic tell of its rate and publishers."""
+        return join_samples(read_samples(topic, MOST_STAMPS, self._node, self._run).values())
+
+    def counts(self) -> Counter[str]:
+        """Return the number of messages by topic, for topics that have any."""
+        counts: Counter[str] = Counter()
+        for info in self.infos():
+            counts[info.topic] += info.count
+        return counts
+
+    def by_name(self, names: TopicNames) -> dict[str, list[CassandraTopic]]:
+        """Return the stored topics that rosbag selects by each name."""
+        return {name: self.topics(name) for name in check_list("topics", names, "['/tf']")}
+
+    def infos(self, names: Sequence[str] | None = None) -> list[TopicInfo]:
+        """Return the counts and times of some topics, None = all, that have messages."""
+        infos = self._store.info(names, nodeID=self._node, run=self._run)
+        return [info for info in infos if info.count]
+
+    def ends(self) -> tuple[int, int]:
+        """Return the receive times of the first and the last message, ns.
+
+        Raises:
+            BagError: There is no message.
+        """
+        times: list[int] = []
+        for info in self.infos():
+            if info.first_ns is not None and info.last_ns is not None:
+                times += [info.first_ns, info.last_ns]
+        own_time_topics = [
+            t.name for t in self.topics(None) if any(e.metadata.own_time for e in t.tables)
+        ]
+        if own_time_topics:
+            # The keys of these topics are not receive times, so all their rows are read.
+            timed = [t.name for t in self.topics(None) if t.name not in own_time_topics]
+            times = [ns for i in self.infos(timed) for ns in (i.first_ns or 0, i.last_ns or 0)]
+            rows = (
+                self._store.getTopic(n).rows(run=self._run, nodeID=self._node)
+                for n in own_time_topics
+            )
+            times += [row.received for topic_rows in rows for row in topic_rows]
+        if not times:
+            raise bag_error(f"Bag contains no message: {self._name}")
+        return min(times), max(times)
+
+
+class BagRun:
+    """A new run that a Bag writes.
+
+    Args:
+        store: The keyspace.
+        run: The run.
+        before: Writer ids of the runs that the bag had when it was opened.
+    """
+
+    def __init__(self, store: RosCassandra, run: Run, before: frozenset[int]) -> None:
+        self._store = store
+        self._before = before
+        self._handles: dict[object, Handle] = {}
+        self._counter = count()
+        self._numbers: Iterator[int] | None = None
+        """Numbers for new connections; None = the highest stored number is not known yet."""
+        self._writer = store.messageWriter(
+            writer_id=run.writer, nodeID=run.node, format=run.format or None, run=run
+        )
+
+    def write(
+        self,
+        topic: str,
+        msg: Any,
+        t: Time | None,
+        raw: bool,
+        connection_header: Mapping[str, str | bytes] | None,
+    ) -> None:
+        """Write a message, see Bag.write."""
+        ns = clock_ns(None) if t is None else to_ns(t)
+        if raw:
+            if not isinstance(msg, (tuple, list)) or len(msg) not in (4, 5):
+                raise TypeMismatch("a raw message is (type, bytes, md5sum, class)")
+            kind, wire, md5sum, cls = msg[0], bytes(msg[1]), msg[2], msg[-1]
+        else:
+            if not hasattr(type(msg), "_md5sum"):
+                raise TypeMismatch(f"{msg!r:.80} is not a message: give a message object")
+            cls, wire = type(msg), serialize(msg)
+            kind, md5sum = cls._type, cls._md5sum
+        # Definitions that differ in the brackets of arrays of messages have the same md5.
+        key: object = (topic, kind, md5sum, getattr(cls, "_full_text", None))
+        if connection_header is not None:
+            key = live_connection(check_new_topic(topic), connection_header)
+        handle = self._handles.get(key)
+        if handle is None:
+            made = key if isinstance(key, Connection) else _connection(topic, kind, md5sum, cls)
+            made = replace(made, number=self._next_number())
+            handle = self._handles[key] = self._writer.connect(made)
+        self._writer.write(handle, ns, next(self._counter), wire)
+
+    def _next_number(self) -> int:
+        """Return the number of a new connection: higher than all that the bag had when opened."""
+        if self._numbers is None:
+            held = [info.table for info in self._store.info(run=self._before)]
+            stored = (
+                self._store.catalog.keyspace.connections.of_tables(held) if self._before else ()
+            )
+            self._numbers = count(
+                max((connection.number for _, _, connection in stored), default=-1) + 1
+            )
+        return next(self._numbers)
+
+    def flush(self) -> None:
+        """Wait until the store has acknowledged all messages."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Wait until the store has acknowledged all messages, and end the run."""
+        self._writer.close()
+
+
 class Bag:
     """A run of the store with the methods of rosbag.Bag, so that scripts need not change.
 
@@ -230,16 +420,11 @@ class Bag:
         self._store = rosCas or RosCassandra(keyspace=from_environment("KEYSPACE") or "ros")
         self._node = nodeID
         self._closed = False
-        self._writer: MessageWriter | None = None
-        self._handles: dict[object, Handle] = {}
-        self._counter = count()
-        self._before: frozenset[int] = frozenset()
-        """Writer ids of the runs that the bag had when it was opened for writing."""
-        self._numbers: Iterator[int] | None = None
-        """Numbers for new connections; None = the highest stored number is not known yet."""
+        self._writer: BagRun | None = None
         try:
             self.filename = name or str(self._store.keyspace)
-            self._run = None if f is EVERYTHING else self._open(format)
+            runs = None if f is EVERYTHING else self._open(format)
+            self._stored = RunContents(self._store, self.filename, nodeID, runs)
         except BaseException:
             self.close()
             raise
@@ -275,59 +460,20 @@ class Bag:
         """Return the writer ids of the bag's runs. If the mode is 'w' or 'a', begin a new run."""
         name, runs = self.filename, self._store.catalog.keyspace.registry.runs()
         if self.mode == "w":
-            writers = self._make_room(name, runs)
+            writers = _make_room(self._store, self._node or "", name, runs)
         else:
             meant = runs_meant(runs, name) or runs_of_content(runs, name)
             writers = frozenset(run.writer for run in meant)
         if self.mode == "r":
-            return writers or self._absent(name, runs)
+            return writers or _writers_named(self._store, name, runs)
         if self.mode == "a" and not writers and os.path.isfile(name) and os.path.getsize(name):
-            self._absent(name, runs)
-        self._before = writers
+            _writers_named(self._store, name, runs)
         writer = new_writer_id()
         base, source = os.path.basename(name), source_of(name)
         run = Run(self._node or "", writer, "api", base, source, format or "")
-        self._writer = self._store.messageWriter(
-            writer_id=writer, nodeID=run.node, format=format, run=run
-        )
+        self._writer = BagRun(self._store, run, writers)
         atexit.register(self.close)  # a script that does not close the bag loses no messages
         return writers | {writer}
-
-    def _absent(self, name: str, runs: Sequence[Run]) -> frozenset[int]:
-        """Return the writer ids for a name that no run has: the name may be a writer id itself.
-
-        Raises:
-            BagNotFound: It is not.
-        """
-        alike = describe_same_name(runs, name)
-        place = f"{name} is not stored in keyspace {self._store.keyspace}"
-        if alike and (os.path.isfile(name) or os.path.basename(name) != name):
-            raise BagNotFound(f"{place}; {alike}")
-        if os.path.isfile(name):
-            raise BagNotFound(f"{place}: store it first: cassandra_bag import {name}")
-        try:
-            return self._store.catalog.keyspace.runs.writers(name) or frozenset()
-        except RunNotFound as exc:
-            raise BagNotFound(str(exc)) from exc
-
-    def _make_room(self, name: str, runs: Sequence[Run]) -> frozenset[int]:
-        """Delete the runs that a Bag wrote to this path before, as rosbag overwrites its file.
-
-        Return the writer ids of those that stay, because they belong to other robots.
-        """
-        before = runs_of_file(runs, name)
-        named = [run for run in runs if run.name == name and run not in before]
-        for run in named + [run for run in before if run.kind != "api"]:
-            place = f" (of {run.source})" if run.source else ""
-            raise bag_error(
-                f"run {name}{place} is stored already in keyspace {self._store.keyspace}, and is "
-                "not overwritten: add to it with mode 'a', choose another name or path, or remove "
-                "it first with rosCas.upkeep.delete(run=…)"
-            )
-        mine = frozenset(run.writer for run in before if run.node == (self._node or ""))
-        if mine:
-            self._store.upkeep.delete(run=mine)
-        return frozenset(run.writer for run in before) - mine
 
     def read_messages(
         self,
@@ -358,21 +504,14 @@ class Bag:
             BagError: The bag is closed.
             InvalidKey: start_time or end_time is not a time.
         """
-        self.flush()
+        contents = self._contents
         ends = start_time or None, _within_ros(end_time or None)
-        names, passing = self._topics(topics), None
+        names, passing = contents.topics(topics), None
         if connection_filter is not None:
-            names, passing = self._filter_connections(names, connection_filter)
+            names, passing = contents.filter_connections(names, connection_filter)
         if not names:
             return iter(())
-        read = partial(
-            self._store.readMessages,
-            [topic.name for topic in names],
-            nodeID=self._node,
-            run=self._run,
-            received=True,
-        )
-        rows = in_bag_order(read, *ends)
+        rows = in_bag_order(partial(contents.rows_received, names), *ends)
         return self._messages_of(rows, passing, raw, return_connection_header)
 
     def _messages_of(
@@ -395,39 +534,6 @@ class Bag:
             else:
                 yield one
 
-    def _topics(self, names: TopicNames) -> list[CassandraTopic]:
-        """Return the stored topics that rosbag selects by these names; no name = all of them."""
-        stored = self._store.getAllTopics()
-        wanted = [] if names is None else check_list("topics", names, "['/tf']")
-        if not wanted or (isinstance(names, str) and not names):
-            return list(stored)
-        selected = {_canonical(check_topic(name)) for name in wanted}
-        return [t for t in stored if not selected.isdisjoint((t.name, _canonical(t.name)))]
-
-    def _filter_connections(
-        self, topics: Sequence[CassandraTopic], test: ConnectionFilter
-    ) -> tuple[list[CassandraTopic], set[tuple[str, int]]]:
-        """Apply a filter to the connections of topics.
-
-        Returns:
-            The topics with at least one accepted connection, and the accepted connections as
-            (table name, ``_conn``).
-        """
-        named = {table.name: topic.name for topic in topics for table in topic.tables}
-        passing = {
-            (table, conn)
-            for table, conn, connection in self._connections(topics)
-            if test(*_describe(0, named[table], connection)[1:])
-        }
-        tables = {table for table, _ in passing}
-        return [t for t in topics if any(table.name in tables for table in t.tables)], passing
-
-    def _connections(
-        self, topics: Sequence[CassandraTopic]
-    ) -> Iterator[tuple[str, int, Connection]]:
-        tables = {table.name for topic in topics for table in topic.tables}
-        return self._store.catalog.keyspace.connections.of_tables(tables)
-
     def _get_connections(
         self, topics: TopicNames = None, connection_filter: ConnectionFilter | None = None
     ) -> Iterator[BagConnection]:
@@ -439,30 +545,15 @@ class Bag:
         Args:
             topics, connection_filter: As in read_messages.
         """
-        self.flush()
-        held = sorted(self._held_connections(self._topics(topics)), key=lambda pair: pair[1].number)
+        contents = self._contents
+        stored = contents.held_connections(contents.topics(topics))
+        held = sorted(stored, key=lambda pair: pair[1].number)
         numbers = [connection.number for _, connection in held]
         are_unique = len(set(numbers)) == len(numbers) and min(numbers, default=0) >= 0
         for place, (topic, connection) in enumerate(held):
             one = _describe(connection.number if are_unique else place, topic, connection)
             if connection_filter is None or connection_filter(*one[1:]):
                 yield one
-
-    def _held_connections(
-        self, topics: Iterable[CassandraTopic]
-    ) -> Iterator[tuple[str, Connection]]:
-        """Yield the connections that have messages in the bag, with the names of their topics."""
-        for topic in topics:
-            missing = {
-                (table, conn): connection for table, conn, connection in self._connections([topic])
-            }
-            rows = topic.rows(nodeID=self._node, run=self._run, columns=lambda table: ())
-            for row in rows:
-                connection = missing.pop((row.table.name, row.conn), None)
-                if connection is not None:
-                    yield topic.name, connection
-                if not missing:
-                    break
 
     def __iter__(self) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
         return self.read_messages()
@@ -493,68 +584,22 @@ class Bag:
         self._require_open()
         if self._writer is None:
             raise bag_error(f"{self.filename} is open for reading: open it with mode 'w' or 'a'")
-        ns = clock_ns(None) if t is None else to_ns(t)
-        if raw:
-            if not isinstance(msg, (tuple, list)) or len(msg) not in (4, 5):
-                raise TypeMismatch("a raw message is (type, bytes, md5sum, class)")
-            kind, wire, md5sum, cls = msg[0], bytes(msg[1]), msg[2], msg[-1]
-        else:
-            if not hasattr(type(msg), "_md5sum"):
-                raise TypeMismatch(f"{msg!r:.80} is not a message: give a message object")
-            cls, wire = type(msg), serialize(msg)
-            kind, md5sum = cls._type, cls._md5sum
-        # Definitions that differ in the brackets of arrays of messages have the same md5.
-        key: object = (topic, kind, md5sum, getattr(cls, "_full_text", None))
-        if connection_header is not None:
-            key = live_connection(check_new_topic(topic), connection_header)
-        handle = self._handles.get(key)
-        if handle is None:
-            made = key if isinstance(key, Connection) else _connection(topic, kind, md5sum, cls)
-            made = replace(made, number=self._next_number())
-            handle = self._handles[key] = self._writer.connect(made)
-        self._writer.write(handle, ns, next(self._counter), wire)
-
-    def _next_number(self) -> int:
-        """Return the number of a new connection: higher than all that the bag had when opened."""
-        if self._numbers is None:
-            held = [info.table for info in self._store.info(run=self._before)]
-            stored = (
-                self._store.catalog.keyspace.connections.of_tables(held) if self._before else ()
-            )
-            self._numbers = count(
-                max((connection.number for _, _, connection in stored), default=-1) + 1
-            )
-        return next(self._numbers)
+        self._writer.write(topic, msg, t, raw, connection_header)
 
     def get_message_count(self, topic_filters: TopicNames = None) -> int:
         """Return the number of messages of some topics, None = all, from the directory.
 
         As in rosbag, a topic that has several of the names counts for each of them.
         """
-        counts = self._counts()
+        contents = self._contents
+        counts = contents.counts()
         if topic_filters is None:
             return sum(counts.values())
         return sum(
             counts.get(topic.name, 0)
-            for topics in self._by_name(topic_filters).values()
+            for topics in contents.by_name(topic_filters).values()
             for topic in topics
         )
-
-    def _counts(self) -> Counter[str]:
-        """Return the number of messages by topic, for topics that have any."""
-        counts: Counter[str] = Counter()
-        for info in self._infos():
-            counts[info.topic] += info.count
-        return counts
-
-    def _by_name(self, names: TopicNames) -> dict[str, list[CassandraTopic]]:
-        """Return the stored topics that rosbag selects by each name."""
-        return {name: self._topics(name) for name in check_list("topics", names, "['/tf']")}
-
-    def _infos(self, names: Sequence[str] | None = None) -> list[TopicInfo]:
-        self.flush()
-        infos = self._store.info(names, nodeID=self._node, run=self._run)
-        return [info for info in infos if info.count]
 
     def get_type_and_topic_info(self, topic_filters: TopicNames = None) -> TypesAndTopicsTuple:
         """Return the message types of all topics, and information about some topics, None = all.
@@ -562,17 +607,18 @@ class Bag:
         Frequency and number of connections are computed from the first MOST_STAMPS messages of
         each topic.
         """
-        counts = self._counts()
-        known_topics = {topic.name: topic for topic in self._topics(None) if topic.name in counts}
+        contents = self._contents
+        counts = contents.counts()
+        known_topics = {t.name: t for t in contents.topics(None) if t.name in counts}
         filters = list(known_topics) if topic_filters is None else topic_filters
         names_of = {
             name: [topic.name for topic in topics if topic.name in counts]
-            for name, topics in self._by_name(filters).items()
+            for name, topics in contents.by_name(filters).items()
         }
         sampled = {name for names in names_of.values() for name in names}
         named = {table.name: name for name, topic in known_topics.items() for table in topic.tables}
         stored: dict[str, list[Connection]] = {}
-        for table, _, connection in self._connections(list(known_topics.values())):
+        for table, _, connection in contents.connections(list(known_topics.values())):
             stored.setdefault(named[table], []).append(connection)
         used: list[Connection] = []
         samples: dict[str, MessageSample] = {}
@@ -582,9 +628,7 @@ class Bag:
                 name in sampled
                 or len({(connection.type, connection.md5sum) for connection in connections}) != 1
             ):
-                samples[name] = join_samples(
-                    read_samples(topic, MOST_STAMPS, self._node, self._run).values()
-                )
+                samples[name] = contents.sample(topic)
                 connections = samples[name].connections
             used += connections
         topics: dict[str, TopicTuple] = {}
@@ -633,7 +677,7 @@ class Bag:
         A float cannot express every ns. In whatever way the float is converted to a time, that is
         not after the message, so read_messages(start_time=…) includes it.
         """
-        ns = self._ends()[0]
+        ns = self._contents.ends()[0]
         return _nearest_seconds(ns, lambda time: time <= ns, 0.0)
 
     def get_end_time(self) -> float:
@@ -641,34 +685,19 @@ class Bag:
 
         In whatever way the float is converted to a time, that is not before the message.
         """
-        ns = self._ends()[1]
+        ns = self._contents.ends()[1]
         return _nearest_seconds(ns, lambda time: time >= ns, math.inf)
-
-    def _ends(self) -> tuple[int, int]:
-        times: list[int] = []
-        for info in self._infos():
-            if info.first_ns is not None and info.last_ns is not None:
-                times += [info.first_ns, info.last_ns]
-        own_time_topics = [
-            t.name for t in self._topics(None) if any(e.metadata.own_time for e in t.tables)
-        ]
-        if own_time_topics:
-            # The keys of these topics are not receive times, so all their rows are read.
-            timed = [t.name for t in self._topics(None) if t.name not in own_time_topics]
-            times = [ns for i in self._infos(timed) for ns in (i.first_ns or 0, i.last_ns or 0)]
-            rows = (
-                self._store.getTopic(n).rows(run=self._run, nodeID=self._node)
-                for n in own_time_topics
-            )
-            times += [row.received for topic_rows in rows for row in topic_rows]
-        if not times:
-            raise bag_error(f"Bag contains no message: {self.filename}")
-        return min(times), max(times)
 
     @property
     def size(self) -> int:
         """Size of the serialised messages, bytes."""
-        return sum(info.bytes for info in self._infos())
+        return sum(info.bytes for info in self._contents.infos())
+
+    @property
+    def _contents(self) -> RunContents:
+        """What its runs hold, with all that was written until now."""
+        self.flush()
+        return self._stored
 
     def flush(self) -> None:
         """Wait until the store has acknowledged all written messages, so that readers find them."""
@@ -721,8 +750,46 @@ class Bag:
     def _summary(self) -> Summary:
         types, topics = self.get_type_and_topic_info()
         lines = [TopicSummary(name, *topic) for name, topic in topics.items()]
-        ends = self._ends() if topics else None
+        ends = self._contents.ends() if topics else None
         return Summary(self.filename, self.size, ends, types, lines)
+
+
+def _writers_named(store: RosCassandra, name: str, runs: Sequence[Run]) -> frozenset[int]:
+    """Return the writer ids for a name that no run has: the name may be a writer id itself.
+
+    Raises:
+        BagNotFound: It is not.
+    """
+    alike = describe_same_name(runs, name)
+    place = f"{name} is not stored in keyspace {store.keyspace}"
+    if alike and (os.path.isfile(name) or os.path.basename(name) != name):
+        raise BagNotFound(f"{place}; {alike}")
+    if os.path.isfile(name):
+        raise BagNotFound(f"{place}: store it first: cassandra_bag import {name}")
+    try:
+        return store.catalog.keyspace.runs.writers(name) or frozenset()
+    except RunNotFound as exc:
+        raise BagNotFound(str(exc)) from exc
+
+
+def _make_room(store: RosCassandra, node: str, name: str, runs: Sequence[Run]) -> frozenset[int]:
+    """Delete the runs that a Bag wrote to this path before, as rosbag overwrites its file.
+
+    Return the writer ids of those that stay, because they belong to other robots.
+    """
+    before = runs_of_file(runs, name)
+    named = [run for run in runs if run.name == name and run not in before]
+    for run in named + [run for run in before if run.kind != "api"]:
+        place = f" (of {run.source})" if run.source else ""
+        raise bag_error(
+            f"run {name}{place} is stored already in keyspace {store.keyspace}, and is "
+            "not overwritten: add to it with mode 'a', choose another name or path, or remove "
+            "it first with rosCas.upkeep.delete(run=…)"
+        )
+    mine = frozenset(run.writer for run in before if run.node == node)
+    if mine:
+        store.upkeep.delete(run=mine)
+    return frozenset(run.writer for run in before) - mine
 
 
 def _path_of(f: object) -> str:

@@ -6,7 +6,8 @@ lark takes a tenth of a second to compute the parser's tables from a grammar. So
 cql_tables.json, which `make setup GRAMMAR=1` writes: text and numbers only, as lark's own cache, a
 pickle, is not. Tables of another grammar, or of another lark, are not used: they are computed then.
 
-``_Builder`` builds the tree while lark parses the text. Only this module and completion import lark
+``_Builder`` builds the tree while lark parses the text: terms, then conditions of them, then
+statements. Only this module and completion import lark
 at once: most programs parse nothing.
 """
 
@@ -115,62 +116,11 @@ MAX_DIGITS = 400
 
 
 @v_args(inline=True)
-class _Builder(Transformer):  # type: ignore[type-arg]
-    """Builds the syntax tree: a method for each rule of the grammar, which lark calls."""
+class _Terms(Transformer):  # type: ignore[type-arg]
+    """Builds fields, constants and what is computed of them.
 
-    def select(
-        self,
-        distinct: Token | None,
-        columns: Token | tuple[Selected, ...],
-        topic: tuple[str, int],
-        condition: Expression | None,
-        group: tuple[Term, ...] | None,
-        order: tuple[Ordering, ...] | None,
-        limit: Literal | None,
-    ) -> tuple[Select, Literal | None]:
-        selection = None if isinstance(columns, Token) else columns
-        order, group = order or (), group or ()
-        down = False
-        if len(order) == 1 and isinstance(order[0].what, KeyOperand) and not group:
-            down, order = order[0].descending, ()
-        select = Select("", selection, *topic, condition, down, None, distinct is not None)
-        return replace(select, group=group, order=order), limit
-
-    def delete(self, topic: tuple[str, int], condition: Expression | None) -> Delete:
-        if condition is not None:
-            return Delete("", *topic, condition)
-        reason = "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed"
-        raise StatementError(topic[1], f"{reason} by TRUNCATE")
-
-    def truncate(self, topic: tuple[str, int]) -> Truncate:
-        return Truncate("", *topic)
-
-    def create_index(
-        self, unless: object | None, name: IndexName | None, indexed: Indexed
-    ) -> CreateIndex:
-        return CreateIndex("", indexed, name, unless is not None)
-
-    def drop_index(self, condition: object | None, index: IndexName | Indexed) -> DropIndex:
-        return DropIndex("", index, condition is not None)
-
-    def index_name(self, token: Token) -> IndexName:
-        # As in CQL, an unquoted name is in lower case.
-        return IndexName(_name(token) if token.type == "QUOTED" else token.lower(), _at(token))
-
-    def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
-        if not isinstance(field, FieldPath):
-            raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
-        for path_part in field.parts:
-            if path_part.index is not None:
-                reason = f"an index is on all elements of an array: leave [{path_part.index}] out"
-                raise StatementError(path_part.position, reason)
-        return Indexed(*topic, field)
-
-    def selected(self, *columns: Selected) -> tuple[Selected, ...]:
-        return columns
-
-    def column(self, what: Term, alias: Token | None) -> Selected:
-        return Selected(_column(what), None if alias is None else _name(alias))
+    Here and below: a method for each rule of the grammar, which lark calls.
+    """
 
     def call(self, word: Token, argument: None | Token | Term) -> Call:
         function, at = word.lower(), _at(word)
@@ -196,18 +146,39 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def negative(self, minus: Token, term: Term) -> Call:
         return _call("neg", (term,), _at(minus))
 
-    def topic(self, token: Token) -> tuple[str, int]:
-        return _name(token), _at(token)
+    def place(self, token: Token) -> Operand:
+        return _OWN[str(token)](_at(token))
 
-    def group(self, *terms: Term) -> tuple[Term, ...]:
-        return tuple(_part(term) for term in terms)
+    def path(self, *parts: tuple[PathPart, ...]) -> FieldPath:
+        names = tuple(name for group in parts for name in group)
+        return FieldPath(names, names[0].position)
 
-    def order(self, *parts: Ordering) -> tuple[Ordering, ...]:
-        return parts
+    def part(self, token: Token, index: Token | None) -> tuple[PathPart, ...]:
+        names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
+        path_parts = [PathPart(name, None, _at(token)) for name in names]
+        if index is not None:
+            path_parts[-1] = PathPart(names[-1], _integer(index), _at(token))
+        return tuple(path_parts)
 
-    def ordering(self, what: Term, direction: Token | None) -> Ordering:
-        down = direction is not None and direction.type == "DESC"
-        return Ordering(_column(what), down, what.position)
+    def literal(self, token: Token) -> Literal:
+        if token.type == "PLACEHOLDER":
+            return Literal(None, _at(token), bound=False)
+        if token.type in ("TRUE", "FALSE"):
+            return Literal(token.type == "TRUE", _at(token))
+        if token.type == "TEXT":
+            return Literal(token[1:-1].replace("''", "'"), _at(token))
+        if token.type == "DURATION":
+            return Literal(_duration(token), _at(token))
+        whole = token.lstrip("+-").isdigit()
+        return Literal(_integer(token) if whole else DecimalText(str(token)), _at(token))
+
+    def length(self, token: Token) -> Literal:
+        return Literal(LengthText(token), _at(token))
+
+
+@v_args(inline=True)
+class _Conditions(_Terms):
+    """Builds conditions."""
 
     def where(self, condition: Expression) -> Expression:
         """Refuse a condition so deeply nested that recursion would overflow the stack."""
@@ -272,9 +243,6 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             raise StatementError(_at(word), reason)
         return Near(numbers, _at(word))
 
-    def length(self, token: Token) -> Literal:
-        return Literal(LengthText(token), _at(token))
-
     def frame(self, *names: Term) -> tuple[Term, ...]:
         return names
 
@@ -287,31 +255,77 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def is_null(self, operand: Term, negated: _Not) -> Expression:
         return _unless(negated, IsNull(_varying(operand)))
 
-    def place(self, token: Token) -> Operand:
-        return _OWN[str(token)](_at(token))
 
-    def path(self, *parts: tuple[PathPart, ...]) -> FieldPath:
-        names = tuple(name for group in parts for name in group)
-        return FieldPath(names, names[0].position)
+@v_args(inline=True)
+class _Builder(_Conditions):
+    """Builds statements: the whole syntax tree."""
 
-    def part(self, token: Token, index: Token | None) -> tuple[PathPart, ...]:
-        names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
-        path_parts = [PathPart(name, None, _at(token)) for name in names]
-        if index is not None:
-            path_parts[-1] = PathPart(names[-1], _integer(index), _at(token))
-        return tuple(path_parts)
+    def select(
+        self,
+        distinct: Token | None,
+        columns: Token | tuple[Selected, ...],
+        topic: tuple[str, int],
+        condition: Expression | None,
+        group: tuple[Term, ...] | None,
+        order: tuple[Ordering, ...] | None,
+        limit: Literal | None,
+    ) -> tuple[Select, Literal | None]:
+        selection = None if isinstance(columns, Token) else columns
+        order, group = order or (), group or ()
+        down = False
+        if len(order) == 1 and isinstance(order[0].what, KeyOperand) and not group:
+            down, order = order[0].descending, ()
+        select = Select("", selection, *topic, condition, down, None, distinct is not None)
+        return replace(select, group=group, order=order), limit
 
-    def literal(self, token: Token) -> Literal:
-        if token.type == "PLACEHOLDER":
-            return Literal(None, _at(token), bound=False)
-        if token.type in ("TRUE", "FALSE"):
-            return Literal(token.type == "TRUE", _at(token))
-        if token.type == "TEXT":
-            return Literal(token[1:-1].replace("''", "'"), _at(token))
-        if token.type == "DURATION":
-            return Literal(_duration(token), _at(token))
-        whole = token.lstrip("+-").isdigit()
-        return Literal(_integer(token) if whole else DecimalText(str(token)), _at(token))
+    def delete(self, topic: tuple[str, int], condition: Expression | None) -> Delete:
+        if condition is not None:
+            return Delete("", *topic, condition)
+        reason = "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed"
+        raise StatementError(topic[1], f"{reason} by TRUNCATE")
+
+    def truncate(self, topic: tuple[str, int]) -> Truncate:
+        return Truncate("", *topic)
+
+    def create_index(
+        self, unless: object | None, name: IndexName | None, indexed: Indexed
+    ) -> CreateIndex:
+        return CreateIndex("", indexed, name, unless is not None)
+
+    def drop_index(self, condition: object | None, index: IndexName | Indexed) -> DropIndex:
+        return DropIndex("", index, condition is not None)
+
+    def index_name(self, token: Token) -> IndexName:
+        # As in CQL, an unquoted name is in lower case.
+        return IndexName(_name(token) if token.type == "QUOTED" else token.lower(), _at(token))
+
+    def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
+        if not isinstance(field, FieldPath):
+            raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
+        for path_part in field.parts:
+            if path_part.index is not None:
+                reason = f"an index is on all elements of an array: leave [{path_part.index}] out"
+                raise StatementError(path_part.position, reason)
+        return Indexed(*topic, field)
+
+    def selected(self, *columns: Selected) -> tuple[Selected, ...]:
+        return columns
+
+    def column(self, what: Term, alias: Token | None) -> Selected:
+        return Selected(_column(what), None if alias is None else _name(alias))
+
+    def topic(self, token: Token) -> tuple[str, int]:
+        return _name(token), _at(token)
+
+    def group(self, *terms: Term) -> tuple[Term, ...]:
+        return tuple(_part(term) for term in terms)
+
+    def order(self, *parts: Ordering) -> tuple[Ordering, ...]:
+        return parts
+
+    def ordering(self, what: Term, direction: Token | None) -> Ordering:
+        down = direction is not None and direction.type == "DESC"
+        return Ordering(_column(what), down, what.position)
 
 
 _OWN = {kind.text: kind for kind in (KeyOperand, NodeOperand, RunOperand)}

@@ -285,14 +285,15 @@ class Schema:
         All are made under one lock, with one reading of the comments before and one after. A name
         is None if the table was dropped as soon as it was made.
         """
-        names = self._find_all(self.listing(), wishes)
-        if None in names:
+        listing = self.listing()
+        if any(self._find(listing, wish) is None for wish in wishes):
             with self.lock() as lock:
-                names = self._make_missing(wishes, lock)
-        return names
+                self._make_missing(wishes, lock)
+                listing = self.listing()
+        return [self._find(listing, wish) for wish in wishes]
 
-    def _make_missing(self, wishes: Sequence[TableWish], lock: SchemaLock) -> list[str | None]:
-        """Make the tables that are missing, under the lock; return the names for all wishes."""
+    def _make_missing(self, wishes: Sequence[TableWish], lock: SchemaLock) -> None:
+        """Make the tables that are missing, under the lock."""
         listing = self.listing(fresh=True)
         tables: list[_NewTable] = []
         for wish in wishes:
@@ -303,7 +304,6 @@ class Schema:
                 tables.append(_new_table(*wish.plan([*others, *mine]), large=wish.large))
         self._make(tables, lock)
         self._check(tables)
-        return self._find_all(self.listing(), wishes)
 
     def _is_for(self, metadata: TopicMetadata, wish: TableWish) -> bool:
         """Return whether a table is one of the topic, kind and format of a wish."""
@@ -324,9 +324,6 @@ class Schema:
         ]
         return max(names, key=lambda name: bool(listing.visible[name].replaces), default=None)
 
-    def _find_all(self, listing: TableListing, wishes: Sequence[TableWish]) -> list[str | None]:
-        return [self._find(listing, wish) for wish in wishes]
-
     def create(self, planned: TablePlan, lock: SchemaLock) -> str:
         """Make a table as planned, under the lock, and check it; return its name."""
         table = _new_table(*planned)
@@ -344,7 +341,7 @@ class Schema:
             if table.shadows:
                 self._finish(table.name, table.metadata, lock)
         lock.change_all(
-            [self._chunk_statement(table.name, table.metadata) for table in tables if table.large]
+            [_chunk_statement(self.keyspace, t.name, t.metadata) for t in tables if t.large]
         )
 
     def _finish(self, name: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
@@ -419,20 +416,7 @@ class Schema:
                 "a new one: connect again"
             )
         if not self._comments(chunk_table_name(table)):
-            lock.change_all([self._chunk_statement(table, metadata)])
-
-    def _chunk_statement(self, table: str, metadata: TopicMetadata) -> SchemaChange:
-        name, partition = chunk_table_name(table), metadata.partition
-        return (
-            f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
-            f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
-            f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
-            f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
-            f"AND {_storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
-            "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
-            "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
-            f"making the table for large messages {name}",
-        )
+            lock.change_all([_chunk_statement(self.keyspace, table, metadata)])
 
     def change_topic(
         self,
@@ -520,6 +504,21 @@ def _new_table(
     final = metadata.with_(generation=time.time_ns())
     name = table_name(final.topic, final.md5sum, final.format, final.generation)
     return _NewTable(name, final, dict(columns), large)
+
+
+def _chunk_statement(keyspace: str, table: str, metadata: TopicMetadata) -> SchemaChange:
+    """Return the statement that makes the table for the large messages of a topic's table."""
+    name, partition = chunk_table_name(table), metadata.partition
+    return (
+        f'CREATE TABLE {qualified(keyspace, name)} ("_node" text, "{partition}" '
+        f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
+        f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
+        f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
+        f"AND {_storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
+        "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
+        "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
+        f"making the table for large messages {name}",
+    )
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
