@@ -24,8 +24,19 @@ Terms = Tuple[Tuple[str, str, bytes], ...]
 """Comparisons for the server, each a column, an operator of CQL and an encoded value."""
 Query = Tuple[Terms, bool]
 """Comparisons that the server checks, and whether it finds the rows by an index."""
-Sift = Callable[..., Optional[NDArray[np.bool_]]]
-"""Function of an unpacked block that returns a mask of the messages to keep; None = all."""
+
+
+class Sifted(NamedTuple):
+    """The messages of a block that may satisfy a condition."""
+
+    mask: NDArray[np.bool_] | None
+    """A bool for each message; None = all."""
+    unsure: NDArray[np.bool_] | None
+    """A bool for each message: if it is in the mask it has to be checked again; None = all."""
+
+
+Sift = Callable[..., Sifted]
+"""Function of an unpacked block that selects its messages to read."""
 
 Skip = Callable[..., bool]
 """Function of a table, a node and a bucket that returns whether the bucket is left out."""
@@ -143,7 +154,7 @@ class Chooser(Protocol):
 
     @property
     def sift(self) -> Callable[..., Sift | None]:
-        """Function of a table that returns its Sift; None = keep all messages of its blocks."""
+        """Function of a table that returns its Sift; None = all messages of its blocks are read."""
 
     @property
     def opened(self) -> Callable[..., None]:

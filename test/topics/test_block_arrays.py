@@ -23,6 +23,20 @@ FIELDS = ["KEY", "NODE", "RUN", "seq", "stamp", "frame_id"]
 LARGE = "x" * 600_000
 
 
+CONDITIONS = (
+    "seq > 40",
+    "seq < 200 AND frame_id = 'ffff'",
+    "NOT seq > 40",
+    "seq IS NULL",
+    "frame_id LIKE 'fff%' AND NODE = 'a'",
+    "RUN = '4' OR seq IN (5, 6)",
+    "seq * 2 > 90 AND stamp.nsecs != 50",
+    f"KEY >= {T0 + SECOND_NS // 4} AND KEY < {T0 + SECOND_NS} AND seq >= 5",
+    f"KEY >= {T0 + SECOND_NS // 4}",
+)
+"""Conditions that numpy answers, in whole or in part, or for each message."""
+
+
 def fill(rosCas):
     """Two nodes, one of them with two writers at once: equal stamps, all sizes, some large."""
     definition = definition_of(Header)
@@ -46,10 +60,14 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
         {"nodeID": "a"},
         {"run": "4"},
         {"key": T0 + SECOND_NS // 2, "to_key": T0 + SECOND_NS},
+        *({"where": where} for where in CONDITIONS),
+        {"where": ("stamp.nsecs < ?", [90]), "nodeID": "b"},
+        {"where": "seq IS NOT NULL", "key": T0 + SECOND_NS // 2, "run": "2"},
     ]
     with monkeypatch.context() as patch:
         patch.setattr(Finder, "columns", lambda *_: pytest.fail("they are read row by row"))
         blocks = [topic.getArrays(FIELDS, **options) for options in asked]
+        tables = [topic.toArrow(["seq"], **options).read_all() for options in asked]
     assert topic.getArrays("seq")["seq"].count() == len(topic.getArrays("KEY")["KEY"]) - 3
     reads, as_blocks = Finder.reads, []
 
@@ -59,9 +77,10 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
         return rows, None
 
     monkeypatch.setattr(Finder, "reads", by_row)
-    for options, found in zip(asked, blocks):
+    for options, found, table in zip(asked, blocks, tables):
         wanted = topic.getArrays(FIELDS, **options)
-        assert len(wanted["KEY"]) > 20
+        assert len(wanted["KEY"]) > 20 or "IS NULL" in options["where"]
+        assert topic.countTopicData(**options) == len(table) == len(wanted["KEY"])
         for name in FIELDS:
             assert found[name].dtype == wanted[name].dtype
             mask = np.ma.getmaskarray(wanted[name])

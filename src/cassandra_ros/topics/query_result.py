@@ -7,12 +7,23 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from itertools import chain, islice
-from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Sequence, Union
+from typing import (
+    Callable,
+    Generator,
+    Iterable,
+    Iterator,
+    NamedTuple,
+    Optional,
+    Sequence,
+    TypeVar,
+    Union,
+)
 
-from cassandra_ros.errors import InvalidKey
+from cassandra_ros.errors import InvalidKey, TopicNotFound
 from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.stamps import is_time, iso_time, other_unit, to_ns
 from cassandra_ros.printable import NOTEBOOK_ROWS, html_table
+from cassandra_ros.query.arrays.stacked_values import MessageBlock, passing
 from cassandra_ros.query.plan.bounds import (
     Bounds,
     NsRange,
@@ -23,7 +34,7 @@ from cassandra_ros.query.plan.bounds import (
 )
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.protocols import Row, RowT_co, Source, Table
-from cassandra_ros.query.rows.projection import Projections, ResultRow
+from cassandra_ros.query.rows.projection import Projection, Projections, ResultRow
 from cassandra_ros.query.rows.result_groups import analyse_select, make_groups
 from cassandra_ros.query.tree.parse import parse_condition
 from cassandra_ros.query.tree.syntax import Delete, Select
@@ -34,6 +45,9 @@ _log = logging.getLogger(__name__)
 
 Cursor = Union[str, Position, None]
 _Rows = Generator[ResultRow, None, None]
+_T = TypeVar("_T")
+BlockReader = Callable[[Read], Optional[Iterator[MessageBlock]]]
+"""Function that reads all messages of a read as blocks; None = a table has no blocks."""
 _MAX_DIGITS = 18
 
 
@@ -105,20 +119,78 @@ class Condition:
             bare: Whether the rows read their messages on request.
         """
         tables = source.tables
+        select, projections, bounds = self._plan(tables, read)
+        if bare:
+            bounds = replace(bounds, read=replace(bounds.read, columns=projections.columns))
+        rows = rows_inside(source, bounds)
+        if not bounds.whole:
+            rows = filter(projections.hit, rows)
+        return self._told(rows, select, tables, bounds.read)
+
+    def blocks(
+        self, tables: Sequence[Table], read: Read, read_blocks: BlockReader
+    ) -> Iterator[MessageBlock] | None:
+        """Read the messages that satisfy the condition as blocks.
+
+        Args:
+            tables: Tables of the topic.
+            read: Which of its messages are read.
+            read_blocks: Reads the messages of the topic.
+
+        Returns:
+            The blocks; None = not all of the tables have blocks.
+        """
+        if not all(table.packed for table in tables):
+            return None
+        select, projections, bounds = self._plan(tables, read)
+        check_of = (lambda table: None) if bounds.whole else projections.of
+        blocks = blocks_inside(read_blocks, check_of, bounds)
+        return self._told(blocks, select, tables, bounds.read)
+
+    def _plan(self, tables: Sequence[Table], read: Read) -> tuple[Select, Projections, Bounds]:
+        """Return the bound condition, its check, and what is read for it."""
         bounds = self.bounds(tables, read)
         select = with_stays(self._select, tables, bounds.read)
-        projections = Projections(select, tables)
-        columns, chooser = projections.columns if bare else None, Pushdown(select.condition)
-        read = replace(bounds.read, columns=columns, chooser=chooser)
+        chooser = Pushdown(None if bounds.whole else select.condition)
+        read = replace(bounds.read, chooser=chooser)
         bounds = replace(bounds, read=read, spans=spans_of(select.condition))
-        rows = filter(projections.hit, rows_inside(source, bounds))
-        return _telling(rows, select, tables, read) if names_anything(select.condition) else rows
+        return select, Projections(select, tables), bounds
+
+    def _told(
+        self, results: Iterator[_T], select: Select, tables: Sequence[Table], read: Read
+    ) -> Iterator[_T]:
+        told = names_anything(select.condition)
+        return _telling(results, select, tables, read) if told else results
+
+
+def blocks_inside(
+    read_blocks: BlockReader, check_of: Callable[[Table], Projection | None], bounds: Bounds
+) -> Iterator[MessageBlock]:
+    """Yield the messages inside of bounds that satisfy a condition, as blocks.
+
+    Args:
+        read_blocks: Reads the messages of the topic.
+        check_of: Returns the check of the condition in a table; None = all messages satisfy it.
+        bounds: What is read.
+
+    Raises:
+        TopicNotFound: A table was replaced by one without blocks.
+    """
+    for read in bounds.reads():
+        blocks = read_blocks(read)
+        if blocks is None:
+            raise TopicNotFound("a table was replaced while it was read")
+        for block in blocks:
+            check = check_of(block.table)
+            block = block if check is None else passing(block, check)
+            if len(block.times):
+                yield block
 
 
 def _telling(
-    rows: Iterator[RowT_co], select: Select, tables: Sequence[Table], read: Read
-) -> Iterator[RowT_co]:
-    """Yield rows; if no row comes, warn of unknown names in the condition."""
+    rows: Iterator[_T], select: Select, tables: Sequence[Table], read: Read
+) -> Iterator[_T]:
+    """Yield rows, or blocks; if none comes, warn of unknown names in the condition."""
     empty = True
     for row in rows:
         empty = False

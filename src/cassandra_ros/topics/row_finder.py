@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
 from typing import Any, Callable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
-from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
+from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound, TopicNotFound
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import (
@@ -24,10 +25,11 @@ from cassandra_ros.messages.stamps import (
     to_ns,
 )
 from cassandra_ros.query.arrays.field_arrays import ColumnChoice, ReadBlocks, ReadRows
+from cassandra_ros.query.arrays.stacked_values import MessageBlock
 from cassandra_ros.query.protocols import Source
 from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.query_result import Condition
+from cassandra_ros.topics.query_result import BlockReader, Condition
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import count_rows
@@ -95,8 +97,11 @@ class Finder:
         Row by row, and as blocks (or None).
         """
         read, blocks = self.read_of(key, to_key), None
-        if self.where is None and read.only is None:
-            blocks = partial(self.keyspace.rows.blocks, self.tables, read)
+        if read.only is None:
+            read_blocks = partial(self.keyspace.rows.blocks, self.tables)
+            blocks = partial(read_blocks, read)
+            if self.where is not None:
+                blocks = partial(self.where.blocks, read, read_blocks)
         return partial(self.columns, key, to_key), blocks
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
@@ -104,6 +109,11 @@ class Finder:
         read = self.read_of(key, to_key)
         if read.only is None and self.where is None:
             return count_rows(self.keyspace.directory, self.tables, read)
+        _, read_blocks = self.reads(key, to_key)
+        blocks = None if read_blocks is None else read_blocks()
+        if blocks is not None:
+            with suppress(TopicNotFound):  # a table was replaced meanwhile: its heir is read
+                return sum(len(block.times) for block in blocks)
         return sum(1 for _ in self._rows(read, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
@@ -359,3 +369,7 @@ class Filter:
     def rows(self, read: Read, *, bare: bool = False) -> Iterator[StoredRow]:
         """Yield the rows of a read that satisfy the condition; see Condition.rows."""
         return self._condition.rows(self._topic, read, bare=bare)
+
+    def blocks(self, read: Read, read_blocks: BlockReader) -> Iterator[MessageBlock] | None:
+        """Read the messages of a read that satisfy the condition; see Condition.blocks."""
+        return self._condition.blocks(self._topic.tables, read, read_blocks)

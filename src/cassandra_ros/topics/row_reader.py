@@ -24,11 +24,10 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound, To
 from cassandra_ros.keys import Position, RowName, is_after, writer_of
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.messages.wire.message_stacks import Int64Array, Planes, as_planes, planes_of
-from cassandra_ros.query.arrays.stacked_values import MessageBlock
+from cassandra_ros.messages.wire.message_stacks import as_planes, planes_of
+from cassandra_ros.query.arrays.stacked_values import MessageBlock, choose_groups
 from cassandra_ros.read import Named, Read, Valued, Whose
 from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
-from cassandra_ros.store.blocks.codec import Unpacked
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.rows.fetch import (
     RowKey,
@@ -358,27 +357,15 @@ def messages_of(
             continue
         places, run = opened.places, partial(table.runs.text, row.writer)
         times, seqs = block.times[places], block.seqs[places]
-        groups = _choose(block.unpacked, places)
-        yield MessageBlock(table, bucket.node, run, times, seqs, groups)
+        mask = np.zeros(len(block), bool)
+        mask[places] = True
+        every = [(g.members, planes_of(g.stored, g.rises)) for g in block.unpacked.groups]
+        groups = choose_groups(every, mask)
+        unsure = None if opened.unsure is None else opened.unsure[places]
+        yield MessageBlock(table, bucket.node, run, times, seqs, groups, unsure)
     # Rows are dropped one by one, because each keeps the bytes that were read of it.
     rows = (large.popleft() for _ in range(len(large)))
     yield from filter(None, map(_alone, chunks_ahead(rows)))
-
-
-def _choose(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array, Planes]]:
-    if len(places) == len(unpacked):
-        return [(g.members, planes_of(g.stored, g.rises)) for g in unpacked.groups]
-    mask = np.zeros(len(unpacked), bool)
-    mask[places] = True
-    numbers = np.cumsum(mask) - 1
-    groups: list[tuple[Int64Array, Planes]] = []
-    for group in unpacked.groups:
-        inside = mask[group.members]
-        if inside.any():
-            groups.append(
-                (numbers[group.members[inside]], planes_of(group.stored, group.rises)[:, inside])
-            )
-    return groups
 
 
 def _alone(row: StoredRow) -> MessageBlock | None:

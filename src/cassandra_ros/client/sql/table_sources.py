@@ -23,7 +23,7 @@ from cassandra_ros.query.arrays.arrow_types import Wanted
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.protocols import Table, UnpackedMessages
 from cassandra_ros.query.tree.syntax import Expression
-from cassandra_ros.read import Query, Read, Sift, TimeRange, Whose
+from cassandra_ros.read import Query, Read, Sift, Sifted, TimeRange, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.keyspace import Keyspace
@@ -265,10 +265,10 @@ class ConditionChooser:
         # The sift may check messages of any size by their heads, also those that fit no stack.
         by_head = all(path in finder.head for path in paths)
 
-        def sift_but_nan(block: UnpackedMessages) -> Any:
-            mask = sift(block)
+        def sift_but_nan(block: UnpackedMessages) -> Sifted:
+            mask, _ = sift(block)
             if mask is None:
-                return None
+                return Sifted(None, None)
             groups = [(planes_of(g.stored, g.rises), g.members) for g in block.groups]
             if by_head:
                 stacks = [finder.heads(groups)]
@@ -277,7 +277,7 @@ class ConditionChooser:
             for stack in stacks:
                 for path, base in paths.items():
                     mask[stack.members] |= np.isnan(stack.numbers(path, base)).any(axis=0)
-            return mask
+            return Sifted(mask, None)
 
         return sift_but_nan if paths else sift
 

@@ -347,6 +347,11 @@ class Stack(NamedTuple):
     """Indices of the messages, as the caller numbers them."""
     planes: Planes
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether the layout says what each byte of the messages is."""
+        return isinstance(self.layout, Layout) and self.layout.end == self.planes.shape[0]
+
     def numbers(self, path: str, base: str, chosen: slice = slice(None)) -> NumberArray:
         """Return a primitive field: (offsets, messages). Times are in ns, a bool is 0 or 1."""
         return read_numbers(self.planes, self.layout.numbers(path)[chosen], base)

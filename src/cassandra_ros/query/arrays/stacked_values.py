@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any, Callable, Iterable, NamedTuple, Sequence, Tuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
@@ -27,6 +28,7 @@ from cassandra_ros.messages.wire.message_stacks import (
 from cassandra_ros.query.arrays.array_types import AnyArray, ArrayType
 from cassandra_ros.query.arrays.column_values import ColumnArray, empty_values
 from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.rows.projection import Projection
 from cassandra_ros.query.tree.field_names import FieldRef
 
 _NUMBERS = ("int", "float", "bool", "time", "duration")
@@ -47,8 +49,49 @@ class MessageBlock(NamedTuple):
     times: Int64Array
     """Row keys of the messages, ns."""
     seqs: Int64Array
-    groups: SizeGroups
-    """The messages by size; a message in no group is unreadable."""
+    groups: Sequence[tuple[Int64Array, Planes]]
+    """The messages by size, see SizeGroups; a message in no group is unreadable."""
+    unsure: NDArray[np.bool_] | None = None
+    """For each message whether the condition of the read has to be checked again, because the store
+    is not sure; None = all have to be."""
+
+    def only(self, mask: NDArray[np.bool_]) -> MessageBlock:
+        """Return the block of some of its messages: a bool for each."""
+        groups = choose_groups(self.groups, mask)
+        times, seqs = self.times[mask], self.seqs[mask]
+        return self._replace(times=times, seqs=seqs, groups=groups, unsure=None)
+
+
+def passing(block: MessageBlock, projection: Projection) -> MessageBlock:
+    """Return the block of those messages that satisfy the condition of a projection."""
+    unsure = np.ones(len(block.times), bool) if block.unsure is None else block.unsure
+    if not unsure.any():
+        return block
+    wires: dict[int, bytes] = {}
+    for members, planes in choose_groups(block.groups, unsure):
+        size, data = len(planes), planes.T.tobytes()
+        wires.update((n, data[k * size : (k + 1) * size]) for k, n in enumerate(members.tolist()))
+    run, times = block.run() if projection.runs else "", block.times[unsure].tolist()
+    mask = ~unsure
+    mask[unsure] = [
+        projection.passes((t, block.node, run, t), wires.get(n)) for n, t in enumerate(times)
+    ]
+    return block.only(mask)
+
+
+def choose_groups(
+    groups: Iterable[tuple[Int64Array, Planes]], mask: NDArray[np.bool_]
+) -> Sequence[tuple[Int64Array, Planes]]:
+    """Return the groups of some of their messages, numbered anew; ``mask``: a bool for each."""
+    if mask.all():
+        return list(groups)
+    numbers = np.cumsum(mask) - 1
+    chosen: list[tuple[Int64Array, Planes]] = []
+    for members, planes in groups:
+        inside = mask[members]
+        if inside.any():
+            chosen.append((numbers[members[inside]], planes[:, inside]))
+    return chosen
 
 
 def join_blocks(blocks: Sequence[MessageBlock], apart: int | None = None) -> SizeGroups:

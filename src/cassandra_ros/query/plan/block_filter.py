@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Conditions on whole blocks of messages, with numpy: masks of the messages that may match.
 
-``compile_condition`` checks every remaining message again. So a mask may be true for messages that
-do not match, but is never false for one that does. It is exact for numbers, bools and times outside
-arrays of messages, and for ANY and ALL of an array of numbers. If an array of messages is unnested,
-a message passes if any element may match. Other conditions (NOT, LIKE, NULL, KEY, arithmetic) leave
-no message out.
+A mask may be true for messages that do not match, but is never false for one that does. It is sure
+of numbers, bools, times and equal texts outside arrays of messages, and of ANY and ALL of an array
+of numbers, in messages that share their layout with others. If an array of messages is unnested, a
+message passes if any element may match. Other conditions (NOT, LIKE, NULL, KEY, arithmetic) leave
+no message out. ``compile_condition`` checks the messages again of which a mask is not sure.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Optional, Sequence
+from typing import Any, Callable, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +44,23 @@ from cassandra_ros.query.tree.syntax import (
     StatementError,
     wants_array,
 )
+from cassandra_ros.read import Sifted
 
 Mask = NDArray[np.bool_]
-Sift = Callable[[UnpackedMessages], Optional[Mask]]
-"""Function from a block to a mask of the messages that may match; None = all may."""
-_Test = Callable[[Stack], Mask]
+Sift = Callable[[UnpackedMessages], Sifted]
+"""Function from a block to the messages that may match."""
+_Mask = Callable[[Stack], Mask]
+
+
+class _Test(NamedTuple):
+    """A part of a condition."""
+
+    mask: _Mask
+    """Function from messages of one layout to a bool for each: it may match."""
+    is_exact: bool
+    """Whether a message for which it is true matches the part."""
+
+
 _Compare = Callable[[NumberArray], Mask]
 """Function from numbers to a bool for each: the comparison is true."""
 _Get = Callable[[Stack], NumberArray]
@@ -60,23 +72,26 @@ _WHOLE = {"uint32": "time", "int32": "duration"}
 def compile_sift(expression: Expression, definition: Definition) -> Sift | None:
     """Return the filter of blocks of one type; None if the condition leaves no message out."""
     refs: list[FieldRef] = []
-    test, finder = _compile(expression, definition, refs), stacker(definition)
-    if test is None:
+    compiled, finder = _compile(expression, definition, refs), stacker(definition)
+    if compiled is None:
         return None
+    test, is_exact = compiled
     # Fields before the first variable one have the same offset in messages of any size.
     by_head = all(_is_plain(ref) and ref.column in finder.head for ref in refs)
 
-    def sift(block: UnpackedMessages) -> Mask | None:
-        mask = np.ones(len(block), np.bool_)
+    def sift(block: UnpackedMessages) -> Sifted:
+        mask, unsure = np.ones(len(block), np.bool_), np.ones(len(block), np.bool_)
         groups = [(planes_of(g.stored, g.rises), g.members) for g in block.groups]
         if by_head and len(groups) > 1:
+            # What follows the heads may be malformed, so such a message has no fields at all.
             stacks = [finder.heads(groups)]
         else:
             stacks = [stack for group in groups for stack in finder.stacks(*group)[0]]
         with np.errstate(invalid="ignore"):  # signalling NaNs
             for stack in stacks:
                 mask[stack.members] = test(stack)
-        return None if mask.all() else mask
+                unsure[stack.members] = not (is_exact and stack.is_whole)
+        return Sifted(None if mask.all() else mask, unsure)
 
     return sift
 
@@ -92,14 +107,15 @@ def _compile(expression: Expression, definition: Definition, refs: list[FieldRef
     if isinstance(expression, (All, Either)):
         all_tests = [_compile(item, definition, refs) for item in expression.items]
         tests = [test for test in all_tests if test is not None]
-        either = isinstance(expression, Either)
-        if not tests or (either and len(tests) < len(all_tests)):
+        either, partly = isinstance(expression, Either), len(tests) < len(all_tests)
+        if not tests or (either and partly):
             return None
-        return _join(tests, np.logical_or if either else np.logical_and)
+        mask = _join([test.mask for test in tests], np.logical_or if either else np.logical_and)
+        return _Test(mask, not partly and all(test.is_exact for test in tests))
     return _leaf(expression, definition, refs)
 
 
-def _join(tests: Sequence[_Test], join: Any) -> _Test:
+def _join(tests: Sequence[_Mask], join: Any) -> _Mask:
     def test(stack: Stack) -> Mask:
         mask = tests[0](stack)
         for other in tests[1:]:
@@ -118,20 +134,23 @@ def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | N
         of_array = call.function in ("min", "max") and leaf.operator != "LIKE"
         array = call.arguments[0] if of_array else None
         if isinstance(array, FieldPath):
-            return _elements(array, leaf.operator, leaf.value, np.any, definition, refs)
+            test = _elements(array, leaf.operator, leaf.value, np.any, definition, refs)
+            return None if test is None else test._replace(is_exact=False)
     if not isinstance(leaf, (Compare, OneOf)) or not isinstance(leaf.operand, FieldPath):
         return None
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:
         ref = field_of(leaf.operand, definition, wants_array(leaf))
     except StatementError:
-        return _never  # this definition lacks the field, and a missing value never matches
+        return _NEVER  # this definition lacks the field, and a missing value never matches
     refs.append(ref)
     values = list(fitting(leaf, ref))
     if not values:
-        return _never
+        return _NEVER
+    is_single = not any(step.many for step in ref.steps)
     if ref.type == "string":
-        return _text_test(ref, operator, [v for v in values if isinstance(v, str)])
+        mask = _text_mask(ref, operator, [v for v in values if isinstance(v, str)])
+        return None if mask is None else _Test(mask, is_single)
     get = _getter(ref)
     if get is None or operator == "LIKE":
         return None
@@ -141,7 +160,7 @@ def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | N
         compare = _one_of(dtype, numbers)
     else:
         compare = _comparison(dtype, operator, numbers[0])
-    return lambda stack: np.logical_or.reduce(compare(get(stack)))
+    return _Test(lambda stack: np.logical_or.reduce(compare(get(stack))), is_single)
 
 
 def _quantifier_test(
@@ -168,13 +187,13 @@ def _elements(
     try:
         ref = field_of(array, definition, array=True)
     except StatementError:
-        return _never
+        return _NEVER
     get = _getter(ref)
     if ref.type == "string" or get is None:
         return None
     numbers = list(fitting(Compare(array, operator, value), ref))
     if not numbers:
-        return _never
+        return _NEVER
     refs.append(ref)
     dtype = np.dtype(np.int64) if ref.type in _NS else DTYPES[ref.type]
     if operator == "=":
@@ -182,7 +201,7 @@ def _elements(
     else:
         compare = _comparison(dtype, operator, numbers[0])
     read = get
-    return lambda stack: join(compare(read(stack)), axis=0)
+    return _Test(lambda stack: join(compare(read(stack)), axis=0), True)
 
 
 _NS = ("time", "duration")
@@ -190,6 +209,9 @@ _NS = ("time", "duration")
 
 def _never(stack: Stack) -> Mask:
     return np.zeros(stack.planes.shape[1], np.bool_)
+
+
+_NEVER = _Test(_never, True)
 
 
 def _place(ref: FieldRef) -> slice | None:
@@ -227,7 +249,7 @@ def _part(time_part: str, get: _Get) -> _Get:
     return get
 
 
-def _text_test(ref: FieldRef, operator: str, values: Sequence[str]) -> _Test | None:
+def _text_mask(ref: FieldRef, operator: str, values: Sequence[str]) -> _Mask | None:
     """Compile a test for equal texts; None for values that bytes cannot be compared with."""
     place, path = _place(ref), ref.column
     many = any(step.many for step in ref.steps)

@@ -42,6 +42,7 @@ from cassandra_ros.messages.wire.cql_values import encode_value
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.messages.wire.zones import HIGH, LOW, zone_map
 from cassandra_ros.query.plan.block_filter import Sift, compile_sift
+from cassandra_ros.query.plan.bounds import bounds_time
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.literals import Comparable, fitting
@@ -55,6 +56,7 @@ from cassandra_ros.query.tree.syntax import (
     Negation,
     OneOf,
     StatementError,
+    conjuncts,
     wants_array,
 )
 
@@ -403,7 +405,9 @@ class Pushdown:
         if self._plan == "client" or self._expression is None or table.definition is None:
             return None
         if table not in self._sifts:
-            self._sifts[table] = compile_sift(self._expression, table.definition)
+            # The read of a bucket has these ends already, so they need no check of a message.
+            items = [item for item in conjuncts(self._expression) if not bounds_time(item)]
+            self._sifts[table] = compile_sift(All(tuple(items)), table.definition)
         return self._sifts[table]
 
     def opened(self, table: Table, messages: int, kept: int) -> None:

@@ -151,7 +151,17 @@ class Extractor:
 
         CorruptMessage: malformed row.
         """
-        columns = iter(self._columns(row))
+        return self._every(self._columns(row))
+
+    def wire_values(self, wire: bytes) -> Iterator[FieldValueList]:
+        """Yield the values of a serialised message, once or per unnested element.
+
+        CorruptMessage: malformed message.
+        """
+        return self._every(self._read(wire))
+
+    def _every(self, column_values: FieldValueList) -> Iterator[FieldValueList]:
+        columns = iter(column_values)
         return self._unnest(0, [next(columns) if has_column else [] for has_column in self._given])
 
     def _columns(self, row: Row) -> FieldValueList:
@@ -414,6 +424,21 @@ class Projection:
         """Return whether a row, or one of its unnested elements, satisfies the condition."""
         rows = None if self.compiled is None else self.compiled(row)
         return any(self.hits(row)) if rows is None else bool(rows)
+
+    def passes(self, identity: RowIdentity, wire: bytes | None) -> bool:
+        """Return whether a message, or one of its unnested elements, satisfies the condition.
+
+        Args:
+            identity: Its KEY, NODE, RUN and time.
+            wire: The serialised message; None = it cannot be read: all of its fields are missing.
+        """
+        if self.extractor is not None and wire is not None:
+            try:
+                fields = self.extractor.wire_values(wire)
+                return any(self.check((*identity, *values)) is True for values in fields)
+            except CorruptMessage as exc:
+                _log.warning("a message at %s cannot be read: %s", identity[0], exc)
+        return self.check((*identity, *[None] * (self.width - OWN_WIDTH))) is True
 
     def rows(self, row: Row) -> Iterable[ResultRow]:
         """Return the rows of the result that a stored row gives; unnested elements lazily."""

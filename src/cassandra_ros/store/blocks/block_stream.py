@@ -14,12 +14,13 @@ from __future__ import annotations
 import heapq
 import logging
 from dataclasses import dataclass
-from typing import Callable, Iterable, Iterator, Optional, Sequence, Tuple, Union
+from typing import Callable, Iterable, Iterator, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage, SchemaConflict
+from cassandra_ros.read import Sift
 from cassandra_ros.store.blocks.block_row import (
     HEADER_COLUMNS,
     WHOLE_BLOCK_COLUMNS,
@@ -29,7 +30,7 @@ from cassandra_ros.store.blocks.block_row import (
     read_block,
     stand_in,
 )
-from cassandra_ros.store.blocks.codec import Longs, Unpacked
+from cassandra_ros.store.blocks.codec import Longs
 from cassandra_ros.store.connection.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.connection.protocol import RawPage
 from cassandra_ros.store.connection.requests import PagedRead, RawRow
@@ -55,9 +56,8 @@ STREAM_PAGE_BLOCKS = 512
 GROWTH = 4
 """Ratio between the sizes of two consecutive requests of a read of few messages."""
 
-Sift = Callable[[Unpacked], Optional[NDArray[np.bool_]]]
-"""Returns a mask of the messages of a block that may be wanted; None = all."""
 _Bound = Tuple[object, ...]
+Flags = NDArray[np.bool_]
 
 
 @dataclass
@@ -146,14 +146,14 @@ class BucketRead:
             _log.warning("%s", exc)
             inside = self.ends[0] <= row.key <= self.ends[1]
             return OpenedBlock(row, None, np.arange(inside))
-        places = block.between(*self.ends)
+        places, unsure = block.between(*self.ends), None
         if self.sift is not None and block.unpacked is not None and len(places):
-            mask = self.sift(block.unpacked)
+            mask, unsure = self.sift(block.unpacked)
             if mask is not None:
                 places = places[mask[places]]
         if self.opened is not None:
             self.opened(len(block), len(places))
-        return OpenedBlock(row, block, places)
+        return OpenedBlock(row, block, places, unsure)
 
     def rows(self, opened: OpenedBlock) -> list[TableRow]:
         """Return the rows of the remaining messages of a block, in order."""
@@ -169,13 +169,17 @@ class OpenedBlock:
         row: The row of the block.
         block: The unpacked block; None if it is damaged.
         places: Positions of the messages that have not been made into rows yet.
+        unsure: By position in the block, whether a message has to be checked again, because the
+            sift is not sure; None = all have to be.
     """
 
     size = 0
     """Number of bytes that are still to be fetched."""
 
-    def __init__(self, row: BlockRow, block: Block | None, places: Longs) -> None:
-        self.row, self.block, self.places = row, block, places
+    def __init__(
+        self, row: BlockRow, block: Block | None, places: Longs, unsure: Flags | None = None
+    ) -> None:
+        self.row, self.block, self.places, self.unsure = row, block, places, unsure
 
     @property
     def left(self) -> int:
@@ -200,7 +204,7 @@ class OpenedBlock:
         cut = max(0, self.left - count) if reverse else min(count, self.left)
         parts = self.places[:cut], self.places[cut:]
         places, self.places = parts[::-1] if reverse else parts
-        return OpenedBlock(self.row, self.block, places)
+        return OpenedBlock(self.row, self.block, places, self.unsure)
 
 
 class WaitingRows:

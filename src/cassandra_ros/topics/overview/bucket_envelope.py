@@ -37,8 +37,8 @@ from cassandra_ros.store.connection.requests import PagedRead
 from cassandra_ros.store.tables.row_table import MAX_SEQ, MIN_SEQ
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.overview.plot_columns import Column, as_floats
+from cassandra_ros.topics.query_result import blocks_inside
 from cassandra_ros.topics.row_reader import messages_of
-from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 EDGES_AT_ONCE = 64
@@ -242,32 +242,27 @@ class PieceReader:
         """Pass messages to the makers of arrays; yield how many, each time."""
         whose = Whose((piece.node,), self._wanted.bounds.read.whose.writers)
         read = Read(TimeRange(piece.low, piece.high), whose)
-        if self._wanted.bounds.whole and values.takes_blocks:
-            blocks = self._rows.blocks([piece.table], read)
-            if blocks is not None:
-                for block in blocks:
-                    _check_table(block.table, piece)
-                    values.add_block(block)
-                    yield len(block.times)
-                return
-        for row in self._matching(piece.table, read, values.needed):
+        table, bounds = piece.table, self._wanted.bounds
+        test = None
+        if not bounds.whole:
+            read = replace(read, chooser=Pushdown(self._select.condition, watch=self._watch))
+            no_columns = replace(self._select, columns=())
+            test = Projection.compile(no_columns, table, Findings(self._select.text))
+        bounds = replace(bounds, read=read)
+        if table.packed and values.takes_blocks:
+            read_blocks = partial(self._rows.blocks, [table])
+            for block in blocks_inside(read_blocks, lambda _: test, bounds):
+                _check_table(block.table, piece)
+                values.add_block(block)
+                yield len(block.times)
+            return
+        if test is None:
+            bounds = replace(bounds, read=replace(read, columns=lambda _: values.needed))
+        rows = chain.from_iterable(map(partial(self._rows.read, [table]), bounds.reads()))
+        for row in rows if test is None else filter(test.hit, rows):
             _check_table(row.table, piece)
             values.add(row, 0)
             yield 1
-
-    def _matching(
-        self, table: TopicTable, read: Read, needed: Sequence[str]
-    ) -> Iterator[StoredRow]:
-        """Yield the messages that satisfy the condition."""
-        if self._wanted.bounds.whole:
-            return self._rows.read([table], replace(read, columns=lambda _: needed))
-        chooser = Pushdown(self._select.condition, watch=self._watch)
-        test = Projection.compile(
-            replace(self._select, columns=()), table, Findings(self._select.text)
-        )
-        bounds = replace(self._wanted.bounds, read=replace(read, chooser=chooser))
-        rows = partial(self._rows.read, [table])
-        return filter(test.hit, chain.from_iterable(map(rows, bounds.reads())))
 
 
 def _check_table(table: Table, piece: EnvelopePart) -> None:
