@@ -48,6 +48,7 @@ Cassandra's maximum of 20 years."""
 
 
 def _shorten(value: Any) -> str:
+    """Return a value as at most 80 characters of an error text. Any value will do."""
     try:
         return f"{value!r:.80}"
     except ValueError:  # an integer of thousands of digits
@@ -55,9 +56,10 @@ def _shorten(value: Any) -> str:
 
 
 def plain_value(value: Any) -> Any:
-    """Return scalars of numpy as Python's own values, also those in lists and dicts.
+    """Return a value with its scalars of numpy as Python's own, also in lists, tuples and dicts.
 
-    Times and lengths of numpy stay, because Python's have no nanoseconds.
+    datetime64 and timedelta64 stay, because Python's types have no nanoseconds. Arrays, named
+    tuples and subclasses of dict stay, too.
     """
     if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
         return type(value)(map(plain_value, value))
@@ -76,7 +78,7 @@ def check_text(
     error: type[CassandraRosError] = InvalidOption,
     wanted: str = "a text",
 ) -> str:
-    """Return a text that can be stored: valid Unicode of at most ``most`` bytes of UTF-8.
+    """Return a plain str that can be stored: valid Unicode of at most ``most`` bytes of UTF-8.
 
     Args:
         name: Name of the argument, for the error text.
@@ -89,7 +91,7 @@ def check_text(
         if not isinstance(value, str):
             reason = f"it is of type {type(value).__name__}"
         elif len(value.encode("utf-8")) <= most:
-            return str(value)
+            return str(value)  # of a subclass as well, like numpy's str_
         else:
             reason = f"it has more than {most} bytes"
     except UnicodeEncodeError:
@@ -100,7 +102,9 @@ def check_text(
 def check_integer(
     name: str, value: Any, least: int, most: int, error: type[CassandraRosError] = InvalidOption
 ) -> int:
-    """Return a whole number from least to most, both included. A float with this value is accepted.
+    """Return a whole number from least to most, both included.
+
+    Other numbers of this value are accepted, as 3.0, but not True, a text or bytes.
 
     Args:
         name: Name of the argument, for the error text.
@@ -120,7 +124,7 @@ def check_integer(
 
 
 def check_seconds(name: str, value: Any) -> float:
-    """Return a number of seconds, at least 0, or raise InvalidOption."""
+    """Return a number of seconds, at least 0 (also inf), or raise InvalidOption."""
     number = plain_value(value)
     if isinstance(number, (int, float)) and not isinstance(number, bool) and number >= 0:
         return float(number)
@@ -167,16 +171,15 @@ def check_labels(labels: Any) -> dict[str, str]:
             f"labels={_shorten(labels)} are not a mapping: give one like {{'site': 'lab'}}"
         )
     wanted = f"labels that are texts of up to {MAX_NAME_BYTES} bytes, as {{'site': 'lab'}}"
-    return {
-        check_text("label", name, MAX_NAME_BYTES, InvalidName, wanted): check_text(
-            f"label {name}", text, MAX_NAME_BYTES, InvalidName, wanted
-        )
-        for name, text in labels.items()
-    }
+    checked: dict[str, str] = {}
+    for given_name, text in labels.items():
+        name = check_text("label", given_name, MAX_NAME_BYTES, InvalidName, wanted)
+        checked[name] = check_text(f"label {name}", text, MAX_NAME_BYTES, InvalidName, wanted)
+    return checked
 
 
 def check_topic(topic: Any) -> str:
-    """Return the name of a topic to look up, or raise InvalidName."""
+    """Return the name of a topic to look up, of any length, or raise InvalidName."""
     if isinstance(topic, str):
         return topic
     raise InvalidName(f"{_shorten(topic)} is not a name of a topic: give a text like '/scan'")
@@ -201,9 +204,10 @@ def check_ros_name(name: str, what: str = "") -> str:
 
     Args:
         name: The name.
-        what: What the name stands for, at the beginning of the error text.
+        what: What the name stands for, at the beginning of the error text; '' = nothing.
     """
-    wrong = re.search(r"[^A-Za-z0-9_/]|//", name.replace("~", "", name.startswith("~")))
+    without_tilde = name[1:] if name.startswith("~") else name  # only the first one is allowed
+    wrong = re.search(r"[^A-Za-z0-9_/]|//", without_tilde)
     if wrong:
         reason = f"{wrong[0]!r} may not stand in it"
     elif not re.match(r"[A-Za-z/~]", name):
@@ -311,8 +315,9 @@ def exact_json(text: str) -> object:
     """Return the value of a JSON text whose numbers keep all their digits.
 
     Raises:
-        InvalidOption: A number has more digits than a float has, as seconds since 1970 with ns.
-        ValueError, RecursionError: The text is no JSON.
+        InvalidOption: A number would change as a float, as seconds since 1970 with ns.
+        ValueError, RecursionError: The text is no JSON. (InvalidOption is a ValueError, too: catch
+            it first.)
     """
     return json.loads(text, parse_float=_exact_float)
 
@@ -322,7 +327,7 @@ def _exact_float(text: str) -> float:
     try:
         if math.isfinite(value) and Decimal(repr(value)) == Decimal(text):
             return value
-    except InvalidOperation:  # an exponent without end
+    except InvalidOperation:  # an exponent of too many digits
         pass
     raise InvalidOption(
         f"the number {text:.80} would become {value!r}, the nearest that a float of 64 bits holds: "
@@ -331,7 +336,10 @@ def _exact_float(text: str) -> float:
 
 
 def check_event_values(values: Any) -> dict[str, Any]:
-    """Return the values of an event if JSON can store them without change, or raise InvalidName."""
+    """Return the values of an event if JSON can store them without change, or raise InvalidName.
+
+    As JSON with all characters beyond ASCII escaped they have at most MAX_VALUES_BYTES.
+    """
     json_values = _json_keys("values", values, ())
     check_text("values", json.dumps(json_values), MAX_VALUES_BYTES, InvalidName, "smaller values")
     return json_values
@@ -340,13 +348,20 @@ def check_event_values(values: Any) -> dict[str, Any]:
 def check_user_keys(keys: Any) -> dict[str, Any]:
     """Return the user's own metadata if JSON can store them without change, or raise InvalidName.
 
-    JSON cannot store tuples, sets, bytes, NaN, keys that are not texts, and invalid Unicode.
+    JSON cannot store tuples, sets, bytes, NaN, keys that are not texts, and invalid Unicode. The
+    keys in FACTS are taken.
     """
     return _json_keys("metadata", keys, FACTS)
 
 
 def _json_keys(what: str, keys: Any, taken: Container[str]) -> dict[str, Any]:
-    """Return a mapping that JSON can store without change, none of whose keys is taken."""
+    """Return a mapping that JSON can store without change, none of whose keys is taken.
+
+    Args:
+        what: What the mapping is, for error texts.
+        keys: The mapping.
+        taken: Keys that it may not have: FACTS, or () = any key that is not empty is free.
+    """
     if not isinstance(keys, Mapping):
         raise InvalidName(
             f"{what}={_shorten(keys)} is not a mapping: give one like {{'site': 'lab'}}"
@@ -382,7 +397,10 @@ def check_pattern(pattern: object) -> str:
 
 
 def compile_pattern(option: str, text: str) -> re.Pattern[str]:
-    """Compile the regular expression of an option; raises InvalidOption if it is not valid."""
+    """Compile the regular expression of an option; raises InvalidOption if it is not valid.
+
+    In it a dot also matches a line break, which a stored name may contain.
+    """
     try:
         return re.compile(text, re.DOTALL)
     except (re.error, OverflowError, RecursionError, TypeError) as exc:
@@ -396,6 +414,7 @@ def matching(
 
     Args:
         option: Name of the option, for error texts.
+        names: The names.
         where: The place that holds the names, for error texts: 'keyspace ros'.
 
     Raises:

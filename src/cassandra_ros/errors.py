@@ -6,14 +6,16 @@
   - ConnectionFailed
     + LoginFailed, CertificateRefused, TlsMismatch
   - StoreUnavailable, WriteFailed, AccessDenied, KeyspaceNotFound, SchemaConflict,
-    UnsupportedSchema, TopicExists, ClockNotSet, NotConfirmed, ServerError, DownloadFailed
+    UnsupportedSchema, TopicExists, ClockNotSet, NotConfirmed, ServerError, DownloadFailed,
+    SpoolError
   - TopicNotFound, MessageNotFound, RunNotFound, EventNotFound (also a KeyError)
     + BagNotFound, a RunNotFound (also a FileNotFoundError)
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
   - TypeMismatch, UnknownFormat, UnknownEncoding, InvalidKey, InvalidName, InvalidOption,
-    InvalidQuery, InvalidExpression, AnswerTooLarge, DefinitionError, CorruptMessage, SpoolError,
-    BagError (also a ValueError) + BagUnindexed and BagTooLarge, both a BagError
+    InvalidQuery, InvalidExpression, AnswerTooLarge, DefinitionError, CorruptMessage, BagError (also
+    a ValueError)
+    + BagUnindexed, BagTooLarge, both a BagError
   - MissingDependency (also an ImportError)
 
 Each error text is a complete sentence: what failed, on which topic, why, and what to do.
@@ -47,6 +49,10 @@ class ConnectionFailed(CassandraRosError):
 
     Attributes:
         refused: Whether a server answers but refuses this user; then waiting does not help.
+
+    Args:
+        text: The text.
+        refused: None = as the class says.
     """
 
     refused = False
@@ -176,15 +182,15 @@ class UnknownEncoding(CassandraRosError, ValueError):
 
 
 class InvalidKey(CassandraRosError, ValueError):
-    """A time, row key or cursor cannot be understood."""
+    """A time, a key or a cursor is not valid, or a topic cannot have these keys."""
 
 
 class InvalidName(CassandraRosError, ValueError):
-    """A keyspace, topic or field name is not allowed."""
+    """A name of a topic, robot, run, field or label cannot be used, or a value stored with it."""
 
 
 class InvalidOption(CassandraRosError, ValueError):
-    """An option has a value outside of its range; the text gives the range."""
+    """An option or an argument has a value that it cannot have; the text says what to give."""
 
 
 class InvalidExpression(CassandraRosError, ValueError):
@@ -230,11 +236,11 @@ class CorruptMessage(CassandraRosError, ValueError):
 
 
 class BagError(CassandraRosError, ValueError):
-    """A file is not a bag of format 2.0 that can be read to its end."""
+    """A bag or an MCAP cannot be read to its end, or cannot be written."""
 
 
 class BagUnindexed(BagError):
-    """A bag has no index: it is still being written, or was cut short."""
+    """A bag or an MCAP has no index: it is still being written, or was cut short."""
 
 
 class BagTooLarge(BagError):
@@ -250,7 +256,7 @@ class ClockNotSet(CassandraRosError):
 
 
 class ServerError(CassandraRosError):
-    """The local Cassandra could not be installed, started, stopped or cleared."""
+    """Something on the local Cassandra failed: its installation, a start, a stop, a repair."""
 
 
 class DownloadFailed(CassandraRosError):

@@ -47,12 +47,12 @@ OPTIONAL = {
 
 
 def is_needed(error: ImportError) -> bool:
-    """Return whether the missing module is part of a required package."""
+    """Return whether the missing module is part of a required package, not of an optional one."""
     return (error.name or "").split(".")[0] in NEEDED
 
 
 def explain_missing(error: ImportError) -> str:
-    """Return a text that says how to install the required Python packages."""
+    """Return a text that says how to install the required Python packages, see is_needed."""
     return (
         f"{error}; this Python ({sys.executable}) lacks what cassandra_ros needs.\n"
         "In a checkout of cassandra_ros: make setup, then its .venv/bin/python\n"
@@ -64,7 +64,10 @@ def explain_missing(error: ImportError) -> str:
 
 
 def shipped_file(name: str) -> Path:
-    """Return the path of a file of the package, in a checkout or in the install space."""
+    """Return the path of a file of the package, in a checkout or in the install space.
+
+    If the file is not installed the result is its name alone, which error texts can show.
+    """
     for parent in Path(__file__).parents:
         for place in (parent, parent / "share" / "cassandra_ros"):
             if (place / name).is_file():
@@ -89,7 +92,7 @@ def optional_module(name: str, purpose: str) -> Any:
     """Return a module of an optional package.
 
     Args:
-        name: Full name of the module, as 'pyarrow.parquet'.
+        name: Full name of the module, as 'pyarrow.parquet'; OPTIONAL must have its first word.
         purpose: What needs the package, for the error text.
 
     Raises:

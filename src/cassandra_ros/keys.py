@@ -102,7 +102,7 @@ def decode_cursor(text: str) -> Position:
     """Return the position in a cursor.
 
     Raises:
-        InvalidKey: The text was not made by encode_cursor.
+        InvalidKey: The text was not made by encode_cursor, or its time or writer cannot exist.
     """
     try:
         raw = base64.b64decode(text.encode("ascii"), altchars=b"-_", validate=True)

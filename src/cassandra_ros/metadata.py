@@ -202,8 +202,8 @@ def shadow_column(number: int) -> str:
 def from_comment(comment: str, table: str) -> TopicMetadata | None:
     """Return the metadata in the comment of a table; None if it is not a topic table.
 
-    If it is one, but a field has an impossible value, the result is None, too, and a warning names
-    the table, once.
+    If it is one, but a field is missing or has an impossible value, the result is None, too, and a
+    warning names the table, once. Keys that are not fields of TopicMetadata are ignored.
 
     Raises:
         UnsupportedSchema: The table, which may be a side table, has another schema version.
@@ -225,24 +225,27 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
         )
     if not is_topic:
         return None
-    known_values = {}
+    checked_values = {}
     for member in fields(TopicMetadata):
         name = member.name
         if name not in values:
-            _skip(table, f"{name} is missing")
+            _warn_once(table, f"{name} is missing")
             return None
         if not _CHECKS[name](values[name]):
-            _skip(table, f"{name} cannot be {values[name]!r:.80}")
+            _warn_once(table, f"{name} cannot be {values[name]!r:.80}")
             return None
-        known_values[name] = values[name]
-    known_values["columns"] = tuple(known_values["columns"])
-    known_values["replaces"] = tuple(known_values["replaces"])
-    return TopicMetadata(**known_values)
+        checked_values[name] = values[name]
+    checked_values["columns"] = tuple(checked_values["columns"])
+    checked_values["replaces"] = tuple(checked_values["replaces"])
+    return TopicMetadata(**checked_values)
 
 
 @lru_cache(maxsize=1024)
-def _skip(table: str, reason: str) -> None:
-    """Warn of a table that is left out; only once, because comments are read every few seconds."""
+def _warn_once(table: str, reason: str) -> None:
+    """Warn of a table that is left out.
+
+    The cache makes a second call do nothing: comments are read every few seconds.
+    """
     _log.warning(
         "table %s is left out: its comment was changed by hand or by another program, %s; put the "
         "comment right to read its messages again",
@@ -289,6 +292,7 @@ def _is_mapping(value: object) -> bool:
 
 
 def _is_texts(value: object) -> bool:
+    """Return whether a value is a JSON object with texts as keys and values."""
     return isinstance(value, dict) and all(map(_is_text, (*value, *value.values())))
 
 
@@ -325,7 +329,7 @@ _CHECKS: Mapping[str, Callable[[object], bool]] = {
     "replaces": partial(_is_list, _is_name),
     "user": _is_mapping,
 }
-"""Field of TopicMetadata -> check of its value in a comment."""
+"""Field of TopicMetadata -> check of its value in a comment. Each field needs one."""
 
 
 FACTS = (
@@ -339,8 +343,9 @@ class MetaView(Mapping[str, Any]):
     """The metadata of a topic; ``getMeta['msg_class']`` and ``getMeta('msg_class')`` are the same.
 
     Args:
-        metadata: Metadata of the topic's table.
-        nodes: nodeIDs of the robots that have stored messages.
+        metadata: Metadata of one of the topic's tables, with the indexes of all.
+        nodes: nodeIDs of the robots that have stored messages. If there is only one it stands for
+            a nodeID that was not given to addTopic.
     """
 
     def __init__(self, metadata: TopicMetadata, nodes: list[str]) -> None:

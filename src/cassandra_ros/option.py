@@ -53,14 +53,20 @@ class Option:
     """Whether several values of a list may follow at once, as in rosbag's --pause-topics /a /b."""
 
     def with_default(self, default: _Value, group: OptionGroup | None = None) -> _Value:
-        """Return the field of a dataclass that has this option, a default, and its own group."""
+        """Return the field of a dataclass that has this option and a default.
+
+        Its type is that of the default, as dataclasses.field has it for the checker of types.
+
+        Args:
+            group: The group in which help shows it there; None = that of the option.
+        """
         declared = {_KEY: self if group is None else replace(self, group=group)}
-        own: Callable[[], _Value] = partial(copy, default)
         if isinstance(default, (list, dict)):
-            several: _Value = field(default_factory=own, metadata=declared)
-            return several
-        one: _Value = field(default=default, metadata=declared)
-        return one
+            copied: Callable[[], _Value] = partial(copy, default)
+            field_with_copies: _Value = field(default_factory=copied, metadata=declared)
+            return field_with_copies
+        plain_field: _Value = field(default=default, metadata=declared)
+        return plain_field
 
 
 def option(
@@ -82,10 +88,13 @@ def option(
 
 
 def declared_options(kind: type[object]) -> Mapping[str, tuple[Option, object]]:
-    """Return the options of a dataclass, each with its default, by the name of the field."""
-    empty = kind()
+    """Return the options of a dataclass, each with its default, by the name of the field.
+
+    All fields of the dataclass must have defaults; those that are no options are left out.
+    """
+    defaults = kind()
     return {
-        member.name: (member.metadata[_KEY], getattr(empty, member.name))
+        member.name: (member.metadata[_KEY], getattr(defaults, member.name))
         for member in fields(kind)  # type: ignore[arg-type]
         if _KEY in member.metadata
     }

@@ -102,7 +102,8 @@ def own_folder(path: Path) -> None:
     """Make a folder that only its owner can use (mode 700), or check and mend one that is there.
 
     Raises:
-        OSError: It cannot be made, is not a folder, or it or a link to it belongs to another user.
+        OSError: It cannot be made, is not a folder, or it or a link to it belongs to another user
+            (also for root).
     """
     with suppress(FileExistsError):
         path.mkdir(mode=0o700)
@@ -119,14 +120,18 @@ def own_folder(path: Path) -> None:
 def new_file(path: Path) -> int:
     """Make a file anew, for writing; return its descriptor. What had its name is deleted first.
 
+    Other users may read it, as the umask says.
+
     Raises:
-        OSError: It cannot be made, or what has its name belongs to another user.
+        OSError: It cannot be made, or what has its name cannot be deleted, as a file of another
+            user in /tmp.
     """
     path.unlink(missing_ok=True)
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
 
 
 def _check_owner(path: Path, state: os.stat_result, *, root_may: bool = True) -> None:
+    """Raise OSError if a file is not ours; with ``root_may`` every file counts as root's."""
     user = os.geteuid()
     if user != state.st_uid and not (root_may and user == 0):
         try:

@@ -19,7 +19,10 @@ _SIZES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 
 
 def exact_duration(text: str) -> Decimal:
-    """Read a duration above 0: a number of seconds, or with ms, s, m, h, d or w. Return seconds."""
+    """Read a duration above 0: a number of seconds, or with ms, s, m, h, d or w. Return seconds.
+
+    m are minutes.
+    """
     match = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]*)?|\.[0-9]+)(ms|[smhdw]?)", text)
     if match is None or not float(match[1]):
         raise InvalidOption(f"{text!r:.80} is not a duration, like 30, 5m, 2h or 7d")
@@ -64,19 +67,22 @@ def truth(text: str) -> bool:
 
 
 def whole_number(text: str) -> int:
-    """Read a whole number, at least 0."""
+    """Read a whole number of 0 to 999,999,999."""
     if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise InvalidOption(f"{text!r:.80} is not a whole number of 0 or more")
     return int(text)
 
 
 def megabytes(text: str) -> int:
-    """Read a number of MB. Return bytes."""
+    """Read a number of MB, each of 1024 * 1024 bytes, as in rosbag. Return bytes."""
     return whole_number(text) << 20
 
 
 def byte_size(text: str) -> int:
-    """Read a size as in rosbag's --min-space: 1G, 512M, 100k or bytes. Return bytes."""
+    """Read a size as in rosbag's --min-space: 1G, 512M, 100k or bytes. Return bytes.
+
+    k is 1024. The number is whole.
+    """
     digits, unit = (text, "") if text.isdigit() else (text[:-1], text[-1:].lower())
     is_number = digits.isascii() and digits.isdigit() and len(digits) <= _MOST_DIGITS
     if unit not in _SIZES or not is_number:
@@ -85,7 +91,7 @@ def byte_size(text: str) -> int:
 
 
 def factor(text: str) -> float:
-    """Read a number greater than 0."""
+    """Read a finite number greater than 0."""
     try:
         value = float(text)
     except ValueError:

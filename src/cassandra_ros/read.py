@@ -86,12 +86,12 @@ class Whose(NamedTuple):
 
     @property
     def empty(self) -> bool:
-        """Whether there is no robot or no writer left."""
+        """Whether no message can belong to it: it has no robot, or no writer."""
         return self.nodes == () or self.writers == frozenset()
 
-    def has(self, place: MessageOrigin) -> bool:
+    def has(self, origin: MessageOrigin) -> bool:
         """Return whether a row, position or key belongs to one of these robots and writers."""
-        return self.wrote(place.seq or 0) and (self.nodes is None or place.node in self.nodes)
+        return self.wrote(origin.seq or 0) and (self.nodes is None or origin.node in self.nodes)
 
     def wrote(self, seq: int) -> bool:
         """Return whether a ``_seq`` was assigned by one of the writers."""
@@ -109,7 +109,7 @@ class TimeRange(NamedTuple):
     high: int = LAST_NS
 
     def wider(self, by_ns: int) -> TimeRange:
-        """Return the time range extended by ``by_ns`` at both ends."""
+        """Return the time range extended by ``by_ns`` at both ends, within 0 to LAST_NS."""
         return TimeRange(max(0, self.low - by_ns), min(LAST_NS, self.high + by_ns))
 
 
