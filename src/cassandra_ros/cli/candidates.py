@@ -56,11 +56,13 @@ _Offer = Callable[["RosCassandra", argparse.Namespace], Iterable[str]]
 
 
 def _completer(offer: _Offer) -> Callable[..., list[str]]:
+    """Return the function that argcomplete calls for candidates, with the options typed so far."""
+
     def complete(parsed_args: argparse.Namespace, **_: object) -> list[str]:
         try:
-            of_files = _topics_of_files(parsed_args) if offer is _topics else None
-            if of_files is not None:
-                return of_files
+            file_topics = _topics_of_files(parsed_args) if offer is _topics else None
+            if file_topics is not None:
+                return file_topics
             with open_store(parsed_args, make=True) as ros_cas:
                 # The shell prints candidates as they are, and cannot enter unprintable characters.
                 return sorted(filter(str.isprintable, offer(ros_cas, parsed_args)))
@@ -75,7 +77,10 @@ def _topics(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str
 
 
 def _topics_of_files(options: argparse.Namespace) -> list[str] | None:
-    """Return the topics of the files of import or verify; None for a folder, and other verbs."""
+    """Return the topics of the files of import or verify; None = the store has the topics.
+
+    So it is for other verbs, and with --parquet, which takes a folder.
+    """
     if getattr(options, "verb", "") not in ("import", "verify"):
         return None
     if getattr(options, "parquet", False):

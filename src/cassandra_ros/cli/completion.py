@@ -37,7 +37,7 @@ declare -F _completion_loader >/dev/null && _completion_loader rosrun
 complete -o default -F _cassandra_ros_rosrun rosrun
 """
 _OTHER = "recorder"
-"""Another program of the package."""
+"""Another program of the package: the folder that has it is the one in which rosrun looks."""
 _SHELLS = {"bash": _ASK + _ROSRUN, "zsh": "autoload -U +X bashcompinit && bashcompinit\n" + _ASK}
 
 

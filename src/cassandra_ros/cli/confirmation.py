@@ -24,9 +24,10 @@ def add_dry_run_option(parser: argparse._ActionsContainer) -> None:
 
 
 def confirm(question: str, details: str = "") -> None:
-    """Ask the user a question that must be answered with yes.
+    """Ask the user whether to delete something; return if the answer is yes.
 
     Args:
+        question: A sentence with a question mark.
         details: Lines that are printed before the question.
 
     Raises:
@@ -42,7 +43,7 @@ def confirm(question: str, details: str = "") -> None:
 
 
 def person_reads() -> bool:
-    """Say whether the user can answer a question of this process on the terminal.
+    """Return whether the user can answer a question of this process on the terminal.
 
     It is not enough that there is a terminal: nodes of roslaunch and background jobs of a shell
     have one, but do not receive what is typed.
@@ -56,6 +57,6 @@ def person_reads() -> bool:
 
 
 def says_yes(question: str) -> bool:
-    """Ask the user on the terminal. Every answer but y and yes means no."""
+    """Ask the user on the terminal; return the answer. All but y and yes means no."""
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -17,7 +17,15 @@ if TYPE_CHECKING:
 
 
 def read_time(option: str, text: str | None) -> Stamp | None:
-    """Return the time in the text of an option; None = the option is missing."""
+    """Return the time in the text of an option; None = the option is missing.
+
+    Args:
+        option: Name of the option without --, for the error text.
+        text: Its text.
+
+    Raises:
+        InvalidOption: The text is not a time.
+    """
     from cassandra_ros.messages.stamps import Stamp, written_time_ns
 
     if text is None:
@@ -30,10 +38,11 @@ def read_time(option: str, text: str | None) -> Stamp | None:
 
 
 def check_times(options: argparse.Namespace, catalogs: Iterable[Catalog]) -> None:
-    """Tell on stderr of times that lie far outside of what is stored; nothing if it is empty.
+    """Warn on stderr of times that lie far outside of the stored messages; not if there are none.
 
     Args:
-        options: Those that ``time_options`` names are times as for ``read_time``; None = none.
+        options: The parsed options. ``time_options``, which a parser sets as a default, lists those
+            that are times as for ``read_time``; without it nothing is checked.
         catalogs: The topics of the keyspaces that are read.
 
     Raises:
@@ -49,9 +58,8 @@ def check_times(options: argparse.Namespace, catalogs: Iterable[Catalog]) -> Non
 
     texts = {name: getattr(options, name) for name in getattr(options, "time_options", ())}
     times = {name: read_time(name, text) for name, text in texts.items()}
-    ends = (
-        widest(map(stored_ends, catalogs)) if any(t is not None for t in times.values()) else None
-    )
+    has_times = any(time is not None for time in times.values())
+    ends = widest(map(stored_ends, catalogs)) if has_times else None
     for name, time in times.items():
         if time is None or ends is None:
             continue

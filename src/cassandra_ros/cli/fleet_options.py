@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 STORE_MISSING = 3
 """Exit status if a store of --store did not answer."""
 PLACE = "HOST[:PORT][/KEYSPACE]"
+"""How the address of a store is written, for help texts."""
 
 
 def add_fleet_options(
@@ -76,6 +77,8 @@ def add_fleet_options(
 def open_fleet(options: argparse.Namespace) -> Fleet:
     """Return the stores of --store. The caller closes them (a context manager).
 
+    A store that does not answer is no error; answers of the fleet name it.
+
     Raises:
         InvalidOption: A store is given twice or is not a place, or the file is not valid.
     """
@@ -101,7 +104,8 @@ def refuse_single_store_options(options: argparse.Namespace, names: Mapping[str,
     """End the program if options are given that ask one store only.
 
     Args:
-        names: Option → its value; one that is not given is false.
+        options: The parsed options.
+        names: Option, as it is typed → its value; a false value = the option is not given.
     """
     given = next((name for name, value in names.items() if value), None)
     if given is not None:
@@ -109,7 +113,12 @@ def refuse_single_store_options(options: argparse.Namespace, names: Mapping[str,
 
 
 def tell_missing(missing: Mapping[str, str], program: str = "cassandra_bag") -> int:
-    """Print which stores did not answer; return the exit status."""
+    """Print which stores did not answer; return the exit status.
+
+    Args:
+        missing: Name of a store → the reason why it did not answer.
+        program: Name of the program, for the lines.
+    """
     for name, reason in missing.items():
         text = f"store {name} did not answer, what only it has is left out: {reason}"
         print(error_line(program, text), file=sys.stderr)
@@ -120,7 +129,7 @@ def add_target_options(parser: argparse.ArgumentParser, option: str, help: str) 
     """Add the option that names the other store, and those with its login.
 
     Args:
-        option: '--to', or another name; its value is ``options.target``.
+        option: '--to', or another name; its value is ``options.target``, None = not given.
         help: Help text, without what the parts of the value mean.
     """
     group = parser.add_argument_group("the other store")
@@ -154,11 +163,13 @@ def open_target(options: argparse.Namespace, make: bool) -> RosCassandra:
     """Connect to the other store. The caller closes it (a context manager).
 
     Args:
+        options: ``target`` is given.
         make: The keyspace may be missing there.
     """
     host, port, keyspace = read_address(options.target, options.keyspace)
     place = {"host": host, "port": port, "keyspace": keyspace}
     login = {"cqlshrc": options.to_cqlshrc, "credentials": options.to_credentials}
-    # What is written must be acknowledged by a quorum, however the source is read.
-    words = {**vars(options), **place, **login, "consistency": DEFAULT_CONSISTENCY, "run": None}
-    return open_store(argparse.Namespace(**words), make=make)
+    # What is written must be acknowledged by a quorum, however the source is read. The run is one
+    # of the source.
+    others = {"consistency": DEFAULT_CONSISTENCY, "run": None}
+    return open_store(argparse.Namespace(**{**vars(options), **place, **login, **others}), make)

@@ -51,11 +51,10 @@ def _row(info: FleetTopicInfo) -> Sequence[str]:
 
 
 def answer_of(infos: Sequence[FleetTopicInfo], missing: Mapping[str, str]) -> dict[str, object]:
-    """Return the answer for YAML and JSON."""
+    """Return the answer for YAML and JSON; ``missing`` is store → why it did not answer."""
     topics = []
     for info in infos:
-        values = asdict(info)
-        topics.append({**values, "messages": values.pop("count"), "size": values.pop("bytes")})
+        topics.append({**asdict(info), "messages": info.count, "size": info.bytes})
     return {
         "messages": sum(info.count for info in infos),
         "size": sum(info.bytes for info in infos),

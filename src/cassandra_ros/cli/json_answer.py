@@ -41,7 +41,9 @@ def print_json(answer: object) -> None:
 def plain(value: object) -> object:
     """Return a value in the types of JSON.
 
-    Accepted are dataclasses, mappings, sequences, texts, numbers, datetimes and bytes (base64).
+    Accepted are dataclasses, mappings, lists, tuples, sets, texts, numbers, True, False, None,
+    enumerations (their values), datetimes (without a zone they are UTC) and bytes (base64). NaN and
+    infinities become null.
 
     Raises:
         TypeError: The value, or a part of it, has another type.

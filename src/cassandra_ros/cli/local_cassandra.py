@@ -29,6 +29,7 @@ from cassandra_ros.printable import shown
 from cassandra_ros.store.connection.address import DEFAULT_HOST, DEFAULT_PORT
 
 EXIT_NOT_RUNNING = 3
+"""Exit status of `status` if not every node answers."""
 # roslaunch sends SIGINT to all its programs at once, and SIGTERM 15 s later. Before that the
 # recorder must store its buffered messages, and the drain takes 3 s.
 CLIENTS_SEC = 9.0
@@ -76,6 +77,7 @@ def start(options: argparse.Namespace) -> int:
 
 
 def _say_memory(cluster: LocalCluster) -> None:
+    """Say how much memory several nodes take."""
     taken = [status.memory_bytes for status in cluster.status()]
     if len(taken) > 1:
         sizes = ", ".join(map(format_bytes, taken))
@@ -83,6 +85,7 @@ def _say_memory(cluster: LocalCluster) -> None:
 
 
 def _say_login(cluster: LocalCluster) -> None:
+    """Say how programs log in, if the cluster requires it."""
     if cluster.settings.secure:
         say("it asks for a login, by TLS; programs, and cqlsh --cqlshrc, find theirs with:")
         say(f"  export CASSANDRA_ROS_CQLSHRC={shlex.quote(str(cluster.security.cqlshrc))}")
@@ -342,7 +345,7 @@ def open_cluster(options: argparse.Namespace) -> LocalCluster:
 
 
 def say(text: str) -> None:
-    """Print a line immediately; it replaces the progress line, if there is one."""
+    """Print a line on standard output; it replaces the progress line, if there is one."""
     _clear_progress()
     print(text, flush=True)
 
@@ -352,10 +355,10 @@ def show_progress(text: str, seconds: float) -> None:
     if sys.stderr.isatty():
         print(f"\r{text} … {seconds:.0f} s\033[K", end="", file=sys.stderr, flush=True)
     else:
-        _lines(text, seconds)
+        _say_every_10_s(text, seconds)
 
 
-_lines = ProgressLines(functools.partial(print, file=sys.stderr, flush=True))
+_say_every_10_s = ProgressLines(functools.partial(print, file=sys.stderr, flush=True))
 
 
 def _clear_progress() -> None:

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 _Value = TypeVar("_Value")
 
 DEFAULT_CONSISTENCY = "LOCAL_QUORUM"
+"""A majority of the copies must answer, so that a read sees each acknowledged write."""
 CONSISTENCY_LEVELS = ("ONE", "TWO", "QUORUM", DEFAULT_CONSISTENCY, "ALL")
 """Values of --consistency."""
 Tell = Callable[[str], object]
@@ -172,15 +173,15 @@ def _add_login_options(add: Callable[..., object]) -> None:
 
 
 def read_seconds(text: str) -> float:
-    """Read a number of seconds, at least 0."""
+    """Read a number of seconds, at least 0, without a unit; raises InvalidOption."""
     if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]*)?", text):
         raise InvalidOption(f"{text!r} is not a number of seconds, like 30 or 2.5")
     return float(text)
 
 
 def read_port(text: str) -> int:
-    """Read a TCP port."""
-    return port_number(text or "nothing")
+    """Read a TCP port; raises InvalidOption."""
+    return port_number(text or "nothing")  # '' would mean the default, and hide a mistake
 
 
 def store_place(options: argparse.Namespace) -> tuple[list[str], int]:
@@ -213,8 +214,14 @@ def open_store(
     Times of options that lie far outside of what is stored are told, see ``check_times``.
 
     Args:
+        options: Those that add_store_options adds; run, if it is there.
         make: The keyspace may be missing; the first write creates it.
         wait: What to do during --wait; default: to tell it on stderr.
+
+    Raises:
+        ConnectionFailed: No store answers, with what the local Cassandra knows of the reason.
+        KeyspaceNotFound: The keyspace is missing, and ``make`` is false.
+        InvalidOption: A file of the login cannot be used, or a time is not valid.
     """
     from cassandra_ros.local_server.disk import local_nodes
 
@@ -248,7 +255,8 @@ def foreign_keyspace(ros_cas: RosCassandra, before: str = "") -> str:
     """Return a warning that the keyspace only holds tables of another program; '' = it does not.
 
     Args:
-        before: Text to put before the warning.
+        ros_cas: The store.
+        before: Text to put before a warning, as '; '.
     """
     from cassandra_ros.topics.keyspace_list import tables_of_others
 
@@ -273,6 +281,7 @@ class _Interrupt:
 
     def __init__(self) -> None:
         self.waits: weakref.WeakSet[Hurried] = weakref.WeakSet()
+        """What waits for a store; a store that was closed and deleted leaves it by itself."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         for wait in list(self.waits):
@@ -296,10 +305,10 @@ def hurry_on_interrupt(wait: Hurried) -> None:
 
 @contextmanager
 def awaited_store(options: argparse.Namespace, wait: StoreWait) -> Iterator[Future[RosCassandra]]:
-    """Open the store as ``open_store`` does, but do not block during ``--wait``.
+    """Open the store as ``open_store`` does, but on a thread, so that ``--wait`` blocks nobody.
 
-    The keyspace may be missing. With ``--wait 0`` the future is done at once. On exit the store is
-    closed, or not waited for any more.
+    The keyspace may be missing. With ``--wait 0`` the store is opened here, before the block. On
+    exit the store is closed, or not waited for any more: then the thread may still be connecting.
     """
     from concurrent.futures import Future
 
@@ -328,7 +337,8 @@ def _connect(options: argparse.Namespace, wait: StoreWait) -> RosCassandra:
     """Connect; repeat it for the time that --wait gives, or until the wait is given up."""
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
-    ends, due = time.monotonic() + options.wait, -math.inf
+    ends = time.monotonic() + options.wait
+    tell_due = -math.inf  # the first failure is told at once
     unlimited = math.isinf(ends)
     how_long = "no store yet" if unlimited else f"waiting up to {options.wait:g} s for the store"
     while True:
@@ -347,8 +357,8 @@ def _connect(options: argparse.Namespace, wait: StoreWait) -> RosCassandra:
             over = time.monotonic() >= ends or wait.given_up.is_set()
             if over or (exc.refused and not unlimited):
                 raise failure from exc
-            if time.monotonic() >= due:
-                due = time.monotonic() + TELL_SEC
+            if time.monotonic() >= tell_due:
+                tell_due = time.monotonic() + TELL_SEC
                 wait.tell(f"{how_long}{wait.meanwhile}: {failure}")
             pause = REFUSED_RETRY_SEC if exc.refused else RETRY_SEC
             wait.given_up.wait(min(pause, max(ends - time.monotonic(), 0.0)))
@@ -373,6 +383,7 @@ def _local_directories(options: argparse.Namespace) -> list[Path]:
 
 
 def _trouble(directories: Sequence[Path]) -> str:
+    """Return why one of the local Cassandras may refuse writes; '' = no known reason."""
     from cassandra_ros.local_server.disk import disk_trouble
 
     return next(filter(None, map(disk_trouble, directories)), "")
@@ -395,7 +406,11 @@ def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
 
 
 def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]:
-    """Return --start and --end; None = open."""
+    """Return --start and --end; None = open.
+
+    Raises:
+        InvalidOption: A text is not a time, or the start is after the end.
+    """
     start, end = (read_time(name, getattr(options, name)) for name in ("start", "end"))
     if start is not None and end is not None and start > end:
         raise InvalidOption(f"--start {options.start} is after --end {options.end}")
@@ -414,7 +429,11 @@ def add_event_options(parser: argparse._ActionsContainer, what: str = "") -> Non
 
 
 def read_event(options: argparse.Namespace) -> EventRule:
-    """Return the events that --event, --before and --after choose; None = --event is missing."""
+    """Return the events that --event, --before and --after choose; None = --event is missing.
+
+    The program ends if --before or --after have nothing to go with: --event, or --around of a verb
+    that has this option.
+    """
     if options.event is not None:
         return options.event, options.before or 0.0, options.after or 0.0
     if (options.before or options.after) and getattr(options, "around", None) is None:
@@ -457,7 +476,16 @@ def add_where_option(parser: argparse.ArgumentParser | argparse._ArgumentGroup) 
 
 
 def read_pair(text: str, sign: str, form: str) -> tuple[str, str]:
-    """Read two texts with a separator between them."""
+    """Read two texts around the first separator, without blanks at their ends.
+
+    Args:
+        text: The text of an option.
+        sign: The separator.
+        form: How such a text looks, for the error text.
+
+    Raises:
+        InvalidOption: One of both texts is empty.
+    """
     left, _, right = (word.strip() for word in text.partition(sign))
     if not (left and right):
         raise InvalidOption(f"{text!r} is not of the form {form}")
@@ -470,7 +498,7 @@ def read_where(options: argparse.Namespace) -> dict[str, str]:
 
 
 def read_conditions(options: argparse.Namespace, name: str) -> dict[str, str]:
-    """Return the conditions of an option that may be repeated, by topic."""
+    """Return the conditions of a repeated option ('keep' of --keep), by topic; see read_pairs."""
     return read_pairs(options, f"--{name}", getattr(options, name), "join them with AND or OR")
 
 
@@ -489,7 +517,7 @@ def read_pairs(
 
 
 def same_named(kind: type[Any], options: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of the options that have the names of a dataclass's fields."""
+    """Return the values of those options that have the name of a field of a dataclass, by name."""
     return {f.name: getattr(options, f.name) for f in fields(kind) if hasattr(options, f.name)}
 
 

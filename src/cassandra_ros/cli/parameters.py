@@ -27,7 +27,8 @@ def parameter_words(
     Args:
         parser: Parser of the program.
         parameters: Values by the names of the parameters.
-        without: Parameters that are left out: what the command line gives in another way.
+        without: Names in the parsed options (``dest``) whose parameters are left out, because the
+            command line gives them in another way.
     """
     actions = actions_by_parameter(parser)
     words: list[str] = []
@@ -43,7 +44,8 @@ def parameter_words(
             continue
         values = value if isinstance(value, list) else [value]
         if not action.option_strings:
-            texts = str(value).split() if isinstance(value, str) else map(str, values)
+            texts = value.split() if isinstance(value, str) else map(str, values)
+            # ~topics may be -a, as for rosbag record; all options have their long names here.
             words += ["--all" if text == "-a" else text for text in texts]
         elif action.nargs == 0:
             # --no-diagnostics and its like are given if the parameter is false.
@@ -70,7 +72,7 @@ def long_name(action: argparse.Action) -> str:
 
 
 def actions_by_parameter(parser: argparse.ArgumentParser) -> Mapping[str, argparse.Action]:
-    """Return the options of a parser by the names of their parameters."""
+    """Return the options of a parser by the names of their parameters: ``dest`` and long_name."""
     actions: dict[str, argparse.Action] = {}
     for action in parser._actions:
         if action.dest not in COMMAND_LINE_ONLY:

@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 _REFUSED = ["start", "end", "event", "before", "after", "node_id", "run", "where", "stores"]
 _REFUSED += ["latched", "compression", "force", "content", "map", "salvage", "allow_large_chunks"]
 _REFUSED += ["repair", "target"]
-"""Options of the verbs that files of whole topics cannot follow."""
+"""Options of the verbs, by their ``dest``, that files of whole topics cannot follow."""
 
 
 def write_folder(options: argparse.Namespace, folder: str) -> int:
     """Write the files of the topics that the options select; return the exit status."""
-    return _handle(options, folder, compares=False)
+    return _write_or_compare(options, folder, compares=False)
 
 
 def compare_folder(options: argparse.Namespace, folder: str) -> int:
     """Compare the files with the store; return the exit status: 1 = a file differs."""
-    return _handle(options, folder, compares=True)
+    return _write_or_compare(options, folder, compares=True)
 
 
-def _handle(options: argparse.Namespace, folder: str, compares: bool) -> int:
+def _write_or_compare(options: argparse.Namespace, folder: str, compares: bool) -> int:
     from cassandra_ros.client.sql.lake import Lake
 
     options.parser.refuse_options(

@@ -64,6 +64,7 @@ def error_line(program: str, text: object) -> str:
 
 
 def _epilog(program: str, more: str) -> str:
+    """Return the end of a help text: what each exit status means, with further lines if any."""
     # The parser of a verb is named 'PROGRAM VERB', but error lines begin with PROGRAM only.
     return "\n".join(filter(None, (_STATUSES.replace("%(prog)s", program), more, _ENDED)))
 
@@ -81,7 +82,7 @@ class _HelpText(argparse.RawDescriptionHelpFormatter):
         prefix: str | None = None,
     ) -> None:
         """Add a line with the words and the options that are needed."""
-        needed = [one for one in actions if one.required or not one.option_strings]
+        needed = [action for action in actions if action.required or not action.option_strings]
         super().add_usage(usage, [self._OPTIONS, *needed], [], prefix)
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
@@ -155,7 +156,10 @@ class Parser(argparse.ArgumentParser):
         return options
 
     def _get_value(self, action: argparse.Action, arg_string: str) -> object:
-        """Return the value of a word; errors of this package are wrong usage."""
+        """Return the value of a word; errors of this package are wrong usage, with their texts.
+
+        They would end the program with status 1, or, as ValueErrors, lose their texts.
+        """
         read: Callable[[str], object] = self._registry_get("type", action.type, action.type)
         try:
             return read(arg_string)
@@ -165,22 +169,27 @@ class Parser(argparse.ArgumentParser):
             return super()._get_value(action, arg_string)  # it says what is wrong
 
     def _positionals_last(self, words: Sequence[str]) -> list[str]:
-        """Return the words in the order that argparse needs; report words that are not options."""
+        """Return the words in the order that argparse needs: options with values, --, all others.
+
+        A word before -- that looks like an option and is none ends the program.
+        """
         end = words.index("--") if "--" in words else len(words)
         finder = _OptionFinder(self._actions)
         marked = list(map(_Word, words[:end]))
         try:
-            _, rest = finder.parse_known_args(marked)
+            _, unclaimed = finder.parse_known_args(marked)
         except argparse.ArgumentTypeError:  # this parser reports it, with its usage
             return list(words)
-        others = set(map(id, rest))
-        positionals = [word for word in marked if id(word) in others]
+        unclaimed_ids = set(map(id, unclaimed))
+        positionals = [word for word in marked if id(word) in unclaimed_ids]
         for word in positionals:
             if _LIKE_OPTION.match(word):
                 self._report_unknown(word)
-        options = [word for word in marked if id(word) not in others]
-        behind = [*positionals, *words[end + 1 :]]
-        return list(map(str, [*options, *["--"] * bool(behind), *behind]))
+        ordered: list[str] = [word for word in marked if id(word) not in unclaimed_ids]
+        last = [*positionals, *words[end + 1 :]]
+        if last:
+            ordered += ["--", *last]
+        return list(map(str, ordered))
 
     def _report_unknown(self, word: str) -> NoReturn:
         names = [name for action in self._actions for name in action.option_strings]
@@ -193,8 +202,11 @@ class Parser(argparse.ArgumentParser):
         """End the program if the command line gave one of some options or words.
 
         Args:
-            dests: The attributes of ``options`` with their values.
+            options: The parsed options.
+            dests: Names in ``options`` of those that are refused.
             text: What is wrong with it; {} stands for the option as it was typed.
+
+        An option that was given with its default value counts as not given.
         """
         for action in self._actions:
             value = getattr(options, action.dest, None)
@@ -222,7 +234,10 @@ def _nearest(word: str, names: Iterable[str]) -> str:
 
 
 class _Word(str):
-    """A word of a command line. Two words may have the same text, but have different ids."""
+    """A word of a command line. Words of the same text are different objects: ids tell them apart.
+
+    argparse hands the words that it does not know back as the same objects.
+    """
 
 
 class _Skip(argparse.Action):
@@ -364,7 +379,7 @@ def program_parser(program: str, text: str | None, more: str = "") -> Parser:
 
 
 def _listed(group: VerbGroup[object]) -> str:
-    """Return the verbs of a group with the first lines of their docstrings, and the example."""
+    """Return the part of a help text about a group: a line for each verb, and the example."""
     width = max(shutil.get_terminal_size().columns - 2, 2 * _VERB_WIDTH)  # as argparse fills
     lines = [f"{group.title}:"]
     for name, verb in group.verbs.items():
@@ -387,14 +402,25 @@ def verbs_parser(
     add_arguments: Callable[[str, argparse.ArgumentParser], None],
     more: str = "",
 ) -> Parser:
-    """Return the parser of a program with verbs; their docstrings are their help texts."""
+    """Return the parser of a program with verbs; their docstrings are their help texts.
+
+    The parsed options have ``verb``, its name, and ``parser``, the parser of the verb.
+
+    Args:
+        program: Name of the program.
+        text: Its docstring.
+        groups: The verbs.
+        add_arguments: Adds the arguments of the verb of a name to its parser.
+        more: Lines about further exit statuses.
+    """
     parser = program_parser(program, text, more)
     parser.description = "\n\n".join([parser.description or "", *map(_listed, groups)])
-    text = "one of the verbs above"
+    help_text = "one of the verbs above"
     verb_parsers = parser.add_subparsers(
-        prog=program, dest="verb", metavar="VERB", required=True, help=text
+        prog=program, dest="verb", metavar="VERB", required=True, help=help_text
     )
-    for name, verb in ((name, verb) for group in groups for name, verb in group.verbs.items()):
+    verbs = {name: verb for group in groups for name, verb in group.verbs.items()}
+    for name, verb in verbs.items():
         verb_parser = verb_parsers.add_parser(
             name, description=inspect.getdoc(verb), epilog=_epilog(program, more)
         )
@@ -406,7 +432,7 @@ def verbs_parser(
 
 
 def version() -> str:
-    """Return the version that package.xml states."""
+    """Return the version that package.xml states; 'unknown' if there is no such file."""
     file = shipped_file("package.xml")
     text = file.read_text("utf-8") if file.is_file() else ""
     match = re.search(r"<version>([^<]+)</version>", text)

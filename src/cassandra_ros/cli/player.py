@@ -137,10 +137,15 @@ def _add_names(add: Callable[..., object]) -> None:
 
 
 def read_selection(options: argparse.Namespace) -> PlaySelection:
-    """Return the selection of messages that the options describe."""
+    """Return the selection of messages that the options describe.
+
+    Raises:
+        InvalidName, InvalidOption: An option is not valid.
+    """
     from cassandra_ros.playing.play_selection import PlaySelection
 
     around, values = options.around, same_named(PlaySelection, options)
+    # Where --before or --after is missing --around has the defaults of the class, --event 0.
     reach = {name: values.pop(name) for name in ("before", "after")}
     event = (options.event, reach["before"] or 0.0, reach["after"] or 0.0)
     values.update({name: length for name, length in reach.items() if length is not None})
@@ -205,11 +210,11 @@ def _require_no_pause(options: argparse.Namespace) -> None:
 
 
 class PlayerStatusLine:
-    """The status line of rosbag play: state and current time. It is shown on a terminal only.
+    """The status line of rosbag play: state and current time.
 
     Args:
-        shows: Whether to print the line.
-        hint: Whether to print first which keys can be pressed.
+        shows: Whether to print the line; only on a terminal, because it overwrites itself.
+        hint: Whether to print which keys can be pressed, when ``show`` is called first.
     """
 
     def __init__(self, shows: bool, hint: bool = False) -> None:
@@ -228,7 +233,7 @@ class PlayerStatusLine:
         print("\r" + status_line(state) + "               \r", end="", flush=True)
 
     def end(self) -> None:
-        """Move the cursor to the next line."""
+        """Move the cursor to the next line, if the status line is there."""
         if self._shows:
             print(flush=True)
 
@@ -265,41 +270,42 @@ class Keyboard:
 
     def __init__(self) -> None:
         self._fd = -1
-        self._before: list[Any] | None = None
+        self._earlier_settings: list[Any] | None = None
+        """Settings of the terminal to be restored; None = keys cannot be read (any more)."""
 
     @property
     def is_there(self) -> bool:
         """Whether keys can be read."""
-        return self._before is not None
+        return self._earlier_settings is not None
 
     def __enter__(self) -> Keyboard:
         try:
             self._fd = sys.stdin.fileno()
             # A background process is stopped when it changes the terminal.
             if os.isatty(self._fd) and os.tcgetpgrp(self._fd) == os.getpgrp():
-                self._before = termios.tcgetattr(self._fd)
+                self._earlier_settings = termios.tcgetattr(self._fd)
                 settings = termios.tcgetattr(self._fd)
                 settings[3] &= ~(termios.ICANON | termios.ECHO)
                 settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 0
                 termios.tcsetattr(self._fd, termios.TCSANOW, settings)
         except (OSError, ValueError, AttributeError, termios.error):
-            self._before = None  # standard input is closed or cannot be changed
+            self._earlier_settings = None  # standard input is closed or cannot be changed
         return self
 
     def __exit__(self, *exc_info: object) -> None:
-        if self._before is not None:
-            before, self._before = self._before, None
+        if self._earlier_settings is not None:
+            settings, self._earlier_settings = self._earlier_settings, None
             try:
-                termios.tcsetattr(self._fd, termios.TCSANOW, before)
+                termios.tcsetattr(self._fd, termios.TCSANOW, settings)
             except termios.error:
                 pass  # the terminal is gone
 
     def pressed(self) -> str:
-        """Return the keys that were pressed since the last call."""
-        if self._before is None or not select.select([self._fd], [], [], 0)[0]:
+        """Return the keys that were pressed since the last call, without waiting; '' = none."""
+        if self._earlier_settings is None or not select.select([self._fd], [], [], 0)[0]:
             return ""
         try:
             return os.read(self._fd, 64).decode("utf-8", "replace")
         except OSError:
-            self._before = None  # the terminal is gone
+            self._earlier_settings = None  # the terminal is gone
             return ""

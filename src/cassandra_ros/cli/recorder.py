@@ -73,10 +73,11 @@ def make_parser() -> Parser:
 
 
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
-    """Return the options of the recorder; end the program if they contradict each other."""
+    """Return the options of the recorder; end the program if they are wrong or contradict."""
     if options.udp:
         parser.error("--udp: rospy has no UDP transport; leave it out: TCP loses nothing")
-    if bool(options.topics) == options.all and not (options.node and not options.topics):
+    is_anything_chosen = options.topics or options.all or options.node
+    if not is_anything_chosen or (options.topics and options.all):
         parser.error("give topics to record, or -a for all" + (", not both" * options.all))
     if options.split and not (options.size or options.duration):
         parser.error("--split needs --size or --duration: when is the next run to begin?")
@@ -186,7 +187,7 @@ def _meanwhile(options: RecorderOptions) -> str:
 
 
 def _tell_problems(problems: Sequence[str]) -> int:
-    """Print the problems as error lines; return the exit status."""
+    """Print the problems as error lines; return the exit status, 0 without problems."""
     for text in problems:
         print(error_line(PROGRAM, text), file=sys.stderr)
     return 1 if problems else 0

@@ -23,17 +23,18 @@ _CLEAR = "\r\033[K"
 
 
 class RecorderStatusLine:
-    """A line at the bottom of the terminal with the state of the recording.
+    """A line at the bottom of the terminal with the state of the recording, and lines above it.
 
     A terminal that is gone, or a pipe whose reader has ended, does not end the recording.
 
     Args:
-        terminal: The terminal; None = show no line.
+        terminal: The terminal, which is standard output; None = show no line.
     """
 
     def __init__(self, terminal: TextIO | None) -> None:
         self._terminal = terminal
-        self._stands = False
+        self._is_shown = False
+        """Whether the line is on the terminal now, so that it must be cleared before another."""
 
     @property
     def shows(self) -> bool:
@@ -41,11 +42,11 @@ class RecorderStatusLine:
         return self._terminal is not None
 
     def say(self, text: str, quiet: bool) -> None:
-        """Print a line above the status."""
+        """Print a text in place of the status line, which comes below it again with ``show``."""
         if not quiet:
             with contextlib.suppress(OSError, ValueError):  # the terminal is gone
-                print((_CLEAR if self._stands else "") + shown_lines(text), flush=True)
-        self._stands = False
+                print((_CLEAR if self._is_shown else "") + shown_lines(text), flush=True)
+        self._is_shown = False
 
     def show(self, status: RecordingStatus, rates: Rates) -> None:
         """Update the line."""
@@ -54,23 +55,24 @@ class RecorderStatusLine:
             with contextlib.suppress(OSError, ValueError):
                 self._terminal.write(_CLEAR + status_text(status, rates)[:width])
                 self._terminal.flush()
-            self._stands = True
+            self._is_shown = True
 
 
 def status_text(status: RecordingStatus, rates: Rates) -> str:
     """Return the state of the recording as one line."""
     hertz, nbytes = rates.total
     topics = status.topics
+    stored = f"{sum(report.stored for report in topics)} stored"
+    if status.held_messages:  # of a snapshot: nothing is stored before it is asked for
+        stored = f"{status.held_messages} kept of {status.held_sec:.0f} s"
     parts = [
         f"{status.state} {shown(status.run)}".rstrip(),
         counted(len(status.subscribed), "topic"),
         f"{hertz:.0f} msg/s",
         f"{format_bytes(int(nbytes))}/s",
-        f"{sum(report.stored for report in topics)} stored",
+        stored,
         f"{sum(report.lost for report in topics)} lost",
     ]
-    if status.held_messages:
-        parts[4] = f"{status.held_messages} kept of {status.held_sec:.0f} s"
     parts.append(f"{format_bytes(status.held_bytes)} in memory")
     if status.on_disk.messages:
         disk = status.on_disk
@@ -101,9 +103,11 @@ def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
     """Return a table with the numbers of received, stored and lost messages by topic.
 
     Gaps in the sequence numbers of the publishers are not losses of the recorder; they have a
-    column of their own, "seq gaps".
+    column of their own, "seq gaps". A column without any number ("left out", "paused", "spooled")
+    is left out. A line below the table gives each reason of a loss.
 
     Args:
+        reports: The topics.
         rates: Whether to show rates; a snapshot, which is written at once, has none.
     """
     names = ["topic", "type", "received", "stored", "lost", "seq gaps", "bytes", "rate"]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 ColumnNames = Sequence[str]
+"""Name of each column; two columns may have the same one."""
 ColumnTypes = Sequence[Tuple[str, ArrayType]]
 """Name and type of each column."""
 Rows = Iterable[Tuple[object, ...]]
@@ -70,8 +71,9 @@ def _is_number(value: object) -> bool:
 
 
 def _are_numbers(kinds: Sequence[bool | None]) -> bool:
-    known_kinds = [number for number in kinds if number is not None]
-    return bool(known_kinds) and all(known_kinds)
+    """Return whether all values of a column are numbers, of which there is one; None = no value."""
+    present = [is_number for is_number in kinds if is_number is not None]
+    return bool(present) and all(present)
 
 
 def _cell(value: object) -> str:
@@ -79,6 +81,7 @@ def _cell(value: object) -> str:
 
 
 def _text(value: object) -> str:
+    """Return a value as text for people: exact times, but only the first elements of an array."""
     if isinstance(value, str):
         return str(value)
     if isinstance(value, bool):
@@ -123,9 +126,11 @@ def _field(value: object) -> str:
 
 
 def _exact(value: object) -> str:
+    """Return a value that is not a text as exact text: as JSON, but NaN and infinities by name."""
     if isinstance(value, float):
         return repr(float(value))
-    return to_json(value).strip('"') if isinstance(value, (bytes, bytearray)) else to_json(value)
+    text = to_json(value)
+    return text.strip('"') if isinstance(value, (bytes, bytearray)) else text
 
 
 def write_json(columns: ColumnNames, rows: Rows, stream: IO[str]) -> None:
@@ -209,6 +214,7 @@ def write_batches(batches: Iterator[pyarrow.RecordBatch], path: str | None, forc
 
 
 def _groups(rows: Rows) -> Iterator[list[tuple[object, ...]]]:
+    """Yield the rows in row groups. AnswerTooLarge: a row alone has too many bytes."""
     group: list[tuple[object, ...]] = []
     size = 0
     for row in rows:
@@ -224,7 +230,13 @@ def _groups(rows: Rows) -> Iterator[list[tuple[object, ...]]]:
 
 
 def _narrow_type(kind: ArrayType, values: Sequence[object]) -> ArrayType:
-    """Return the type int64 for a column of integer sums if all values fit, else the same type."""
+    """Return the type int64 for a column of integer sums if all values fit, else the same type.
+
+    Args:
+        kind: Type of the column.
+        values: Its values in the first row group. A later value that does not fit is an error,
+            because the file begins with the type.
+    """
     sums = [value for value in values if isinstance(value, int)]
     fits = all(abs(value) <= _MAX_INT64 for value in sums)
     return ArrayType("int64") if kind.kind == "sum" and fits else kind
@@ -294,8 +306,9 @@ def write(columns: ColumnTypes, rows: Rows, output: str, path: str | None, force
 def open_output(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]]:
     """Open standard output, or a file that gets its name only when it is complete.
 
-    The file is named PATH.active until then. If the path is not a regular file (/dev/stdout, a
-    pipe), it is written directly.
+    The file is named PATH.active until then; an error in the block deletes it. If the path is not a
+    regular file (/dev/stdout, a pipe), it is written directly. Standard output takes texts,
+    whatever ``binary`` says.
 
     Raises:
         InvalidOption: The file exists, or cannot be made or written.

@@ -31,14 +31,16 @@ def format_table(
 
 
 def align(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
-    """Return one line of a table."""
-    columns = zip(cells, widths, right)
-    texts = [text.rjust(width) if last else text.ljust(width) for text, width, last in columns]
+    """Return one line of a table; ``right`` says for each column whether it is right-aligned."""
+    texts = [
+        text.rjust(width) if is_right else text.ljust(width)
+        for text, width, is_right in zip(cells, widths, right)
+    ]
     return "  ".join(texts).rstrip()
 
 
 def format_bytes(count: int) -> str:
-    """Return a size as rosbag prints it: 3.2 MB."""
+    """Return a size as rosbag prints it: 3.2 MB, of 1024 * 1024 bytes each."""
     size, unit = float(count), 0
     while size >= 1024 and unit < len(_UNITS) - 1:
         size, unit = size / 1024, unit + 1
@@ -53,7 +55,7 @@ def format_time(ns: int | None) -> str:
 
 
 def format_length(ns: int) -> str:
-    """Return the length of a bucket in a suitable unit: 10 min."""
+    """Return the length of a bucket in the largest unit that divides it: 10 min."""
     for seconds, unit in _LENGTHS:
         if ns and ns % (seconds * SECOND_NS) == 0:
             return f"{ns // (seconds * SECOND_NS)} {unit}"
@@ -113,7 +115,7 @@ class MessageBar:
         self._bar.close()
 
     def add(self, messages: int, size: int = 0) -> None:
-        """Add a number of handled messages."""
+        """Add a number of handled messages; the bar does not show their size."""
         self._bar.update(messages)
 
     def reach(self, messages: int, total: int) -> None:

@@ -70,17 +70,17 @@ def stored_topics(catalog: Catalog, options: argparse.Namespace) -> list[str] | 
     names, expressions = _names_and_expressions(options)
     if names is None and expressions is None:
         return None
-    topics = {}
+    topics: list[str] = []
     for name in names or ():
         try:
-            topics[catalog.get(name).name] = True
+            topics.append(catalog.get(name).name)
         except TopicNotFound as exc:
             raise TopicNotFound(f"{exc}{_hint(name)}") from exc
     if expressions:
         stored = {topic.name for topic in catalog.all(None)}
         where = f"keyspace {catalog.keyspace.name}"
-        topics.update(dict.fromkeys(sorted(matching("-e", expressions, stored, where)), True))
-    return list(topics)
+        topics += sorted(matching("-e", expressions, stored, where))
+    return list(dict.fromkeys(topics))  # each once
 
 
 def topics_among(
@@ -103,7 +103,10 @@ def topics_among(
 def _names_and_expressions(
     options: argparse.Namespace,
 ) -> tuple[list[str] | None, list[str] | None]:
-    """Return the names and the regular expressions that add_topics or add_topics_option read."""
+    """Return the names and the regular expressions that the options give; None = not given.
+
+    -e of add_topics is a flag that makes TOPIC ... expressions; -e of add_topics_option takes one.
+    """
     if isinstance(options.regex, bool):
         given = options.topics or None
         return (None, given) if options.regex else (given, None)
@@ -111,6 +114,7 @@ def _names_and_expressions(
 
 
 def _hint(name: str) -> str:
+    """Return a hint for a name that was meant as a regular expression; '' = it was not."""
     if _EXPRESSION.isdisjoint(name):
         return ""
     return "; names are taken as they stand: with -e (--regex) they are regular expressions"

@@ -142,7 +142,7 @@ def _listen_port(text: str) -> int:
 
 
 def read_settings(options: argparse.Namespace) -> ViewerSettings:
-    """Return the settings."""
+    """Return the settings of the server; raises InvalidOption like _token."""
     return ViewerSettings(
         host=options.listen_host,
         port=options.listen_port,
@@ -155,7 +155,10 @@ def read_settings(options: argparse.Namespace) -> ViewerSettings:
 
 
 def _token(options: argparse.Namespace) -> str:
-    """Return the token that clients must send, '' = none; make one if others could read secrets.
+    """Return the token that clients must send; '' = none is needed.
+
+    If none is given one is made where other machines can connect, or where other users of this
+    machine could read a store that requires a login.
 
     Raises:
         InvalidOption: The file of the token, or one of the login, cannot be used.
@@ -227,10 +230,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     with _open_stores(options) as source:
 
         def ready(address: str) -> None:
-            shown = f"keyspace {options.keyspace} is"
+            what = f"keyspace {options.keyspace} is"
             if options.stores:
-                shown = f"the fleet of {', '.join(options.stores)} is"
-            print(f"{shown} at {address} (Ctrl-C ends it)", flush=True)
+                what = f"the fleet of {', '.join(options.stores)} is"
+            print(f"{what} at {address} (Ctrl-C ends it)", flush=True)
             if options.open:
                 threading.Thread(target=webbrowser.open, args=[address], daemon=True).start()
 
@@ -247,11 +250,11 @@ def _open_stores(options: argparse.Namespace) -> RosCassandra | Fleet:
         return fleet
     # The viewer may be started before the recorder creates the keyspace.
     ros_cas = open_store(options, make=True)
-    _warn_of_nothing(ros_cas.catalog)
+    _warn_if_missing(ros_cas.catalog)
     return ros_cas
 
 
-def _warn_of_nothing(catalog: Catalog) -> None:
+def _warn_if_missing(catalog: Catalog) -> None:
     """Warn if the keyspace does not exist: its name may be misspelt."""
     try:
         catalog.keyspace.side_tables.require_keyspace()
