@@ -87,7 +87,9 @@ class _Printer:
     def __init__(self, options: argparse.Namespace) -> None:
         from cassandra_ros.topics.message_text import MessageText
 
-        elements, characters = 0 if options.noarr else None, -1 if options.nostr else None
+        # As in rostopic echo: --noarr leaves an empty array as it is, --nostr no string at all.
+        elements = 0 if options.noarr else None
+        characters = -1 if options.nostr else None
         self._json = options.json
         self._message = MessageText(options.json, elements, characters)
 

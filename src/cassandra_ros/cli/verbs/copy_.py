@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 _HOW = ["start", "end", "node_id", "run", "format", "rules", "with_deletions", "rate", "target"]
 _HOW += ["to_cqlshrc", "to_credentials"]
-"""Options of what and how to copy."""
+"""Options of what and how to copy, by their ``dest``."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,10 +96,10 @@ def run(options: argparse.Namespace) -> int:
 
     begun = time.monotonic()
     start, end = read_times(options)
-    with open_store(options) as ros_cas, open_target(options, make=True) as home:
+    with open_store(options) as ros_cas, open_target(options, make=True) as target:
         replicator = Replicator(
             ros_cas,
-            home,
+            target,
             stored_topics(ros_cas.catalog, options),
             start,
             end,
@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
             rate=options.rate or None,
         )
         with MessageBar(f"copying to {shown(replicator.place)}") as bar, SafeInterrupt(
-            home.cassandra.outage
+            target.cassandra.outage
         ) as stop:
 
             def progress(done: int, total: int) -> None:
@@ -150,7 +150,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _tell_status(options: argparse.Namespace) -> int:
-    """Print a table by target and topic of what is copied."""
+    """Print a table by target and topic of what is copied; return the exit status.
+
+    It is 1 if messages wait, a topic was refused, or nothing was ever copied.
+    """
     from cassandra_ros.stores.copying.copy_status import copy_status
 
     options.parser.refuse_options(options, _HOW, "{} says how to copy, and --status copies nothing")

@@ -51,7 +51,8 @@ class _Amount:
 
     messages: int = 0
     bytes: int | None = None
-    """Size of all its messages, bytes; None = a part of them is deleted, whose size is unknown."""
+    """Size of all its messages, bytes; None = unknown, because a part of them is deleted, or the
+    topic cannot be read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,6 +116,12 @@ def _delete_all(
     """Delete all messages of topics, and perhaps the topics; return how much that is, by topic.
 
     A topic that is being recorded would be created again at once, so only its messages are deleted.
+
+    Args:
+        ros_cas: The store.
+        topics: Their names.
+        with_topics: Whether the topics are deleted, too.
+        dry_run: Only count.
     """
     amounts = {}
     unreadable = set()
@@ -133,11 +140,13 @@ def _delete_all(
             text = f"topic {shown(name)} is being recorded: it stays, with what comes from now on"
             print(error_line("cassandra_bag", text), file=sys.stderr)
         remove = ros_cas.truncateTopic if stays else ros_cas.removeTopic
+        # Where nothing was counted while it was deleted the earlier count is told.
         amounts[name].messages = remove(name) or amounts[name].messages
     return amounts
 
 
 def _sum(amounts: dict[str, _Amount], with_topics: bool) -> str:
+    """Return in words how much is deleted, of topics with messages unless the topics go, too."""
     messages = counted(_count(amounts), "message")
     if with_topics:
         return f"{counted(len(amounts), 'topic')} with their {messages}"

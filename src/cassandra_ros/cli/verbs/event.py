@@ -111,6 +111,7 @@ def _add(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
 
 
 def _value(text: str) -> object:
+    """Return what a text means as JSON, else the text; InvalidOption: a number would change."""
     try:
         return exact_json(text)
     except InvalidOption:
@@ -130,7 +131,7 @@ def _lasting_event(ros_cas: RosCassandra, options: argparse.Namespace) -> Event:
 
     Raises:
         EventNotFound: There is no such event.
-        InvalidOption: The name has no event that lasts, or several.
+        InvalidOption: The name has no event that lasts among the first _MOST_ENDED, or several.
     """
     name, whose = options.event, {"nodeID": options.node_id, "run": options.run}
     events = list(islice(ros_cas.events(name, **whose), _MOST_ENDED))
@@ -175,7 +176,8 @@ def _delete(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
     events = list(_selected_events(ros_cas, options))
     if not events:  # the name is a key, then
         events = [ros_cas.catalog.keyspace.events.get(options.event)]
-    if options.node_id is not None:  # those of all robots count for this one, too, and stay
+    # The selection also has the events of all robots and of no run; these are not deleted.
+    if options.node_id is not None:
         events = [event for event in events if event.node == options.node_id]
     if options.run is not None:
         writers = ros_cas.catalog.keyspace.runs.writers(options.run) or ()

@@ -144,7 +144,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _around(options: argparse.Namespace) -> AroundRule:
-    """Return what --around, --before and --after choose."""
+    """Return what --around, --before and --after choose; None = --around is missing."""
     if options.around is None:
         return None
     if options.event is not None:
@@ -156,6 +156,7 @@ def _around(options: argparse.Namespace) -> AroundRule:
 
 
 def _tell(options: argparse.Namespace, report: ExportReport, begun: float) -> None:
+    """Print what was written; ``begun`` is when, by the monotonic clock, s."""
     if options.json:
         print_json(report)
     elif not options.quiet:
@@ -205,14 +206,18 @@ def _path(options: argparse.Namespace) -> str:
 
 
 def _print_report(report: ExportReport, start: str | None, seconds: float) -> None:
+    """Print the report; ``start`` is --start as typed, None = the bag has several time ranges."""
     rows = [(shown(topic), str(count)) for topic, count in sorted(report.messages.items())]
     if rows:
         print(format_table(("topic", "messages"), rows, right=("messages",)))
     early = sum(report.latched.values())
     if early:
         begin = start or "the time ranges"
-        place = start or "the start of a time range"
-        print(f"{early} of these were latched before {begin}; their time in the file is {place}")
+        time_in_file = start or "the start of a time range"
+        print(
+            f"{early} of these were latched before {begin}; their time in the file is "
+            f"{time_in_file}"
+        )
     print(
         f"{report.path}: {counted(sum(report.messages.values()), 'message')} of "
         f"{counted(len(rows), 'topic')}, "

@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
             topic = ros_cas.getTopic(name)
             if options.remove:
                 topic.removeIndex(options.field)
-                text, answer = "removed", {}
+                text, answer = " removed", {}
             else:
                 with MessageBar(f"indexing {options.field}") as bar:
                     count = topic.createIndex(options.field, progress=bar.reach)
@@ -96,14 +96,14 @@ def run(options: argparse.Namespace) -> int:
                 {"topic": name, "field": options.field, "removed": options.remove, **answer}
             )
             if not (options.quiet or options.json):
-                sign = " " * options.remove
-                print(f"index on {shown(options.field)} of topic {shown(name)}{sign}{text}")
+                print(f"index on {shown(options.field)} of topic {shown(name)}{text}")
     if options.json:
         print_json(done)
     return 0
 
 
 def _list(options: argparse.Namespace) -> int:
+    """Print the indexes on fields."""
     from cassandra_ros.topics.indexes import list_indexes
 
     with open_store(options) as ros_cas:
@@ -123,6 +123,7 @@ def _list(options: argparse.Namespace) -> int:
 
 
 def _places(options: argparse.Namespace) -> int:
+    """Make the index of places, or with --list only look at it; print the state of each run."""
     if options.topics or options.field or options.remove:
         options.parser.error("--places goes without TOPIC and --remove")
     whose = {"nodeID": options.node_id, "run": options.run}

@@ -145,7 +145,7 @@ def run(options: argparse.Namespace) -> int:
         return _tell_keyspaces(options)
     if options.stores:
         return _tell_fleet(options)
-    description = _find(options)
+    description = _describe(options)
     if options.yaml or options.json:
         answers = _answer(description)
         if options.json:
@@ -221,7 +221,8 @@ def _tell_fleet(options: argparse.Namespace) -> int:
     return tell_missing(missing)
 
 
-def _find(options: argparse.Namespace) -> _Description:
+def _describe(options: argparse.Namespace) -> _Description:
+    """Read all facts that the verb may print; the bars are drawn when the store is closed."""
     from cassandra_ros.topics.overview.timeline.lanes import Timeline, View
 
     hosts, port = store_place(options)
@@ -261,7 +262,11 @@ def _samples(catalog: Catalog, infos: Sequence[TopicInfo], run: str | None) -> l
 
 
 def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
-    """Return the first and the last time for the picture, ns: of topics whose keys are times."""
+    """Return the first and the last time for the picture, ns; None = there are no messages.
+
+    They are those of the topics whose keys are times. Only without such messages those of the
+    others count: the times at which messages with names were stored may lie far from all others.
+    """
     timed = [info for info in infos if info.key not in NAMED_FORMATS and info.count]
     chosen = timed or infos
     firsts = [info.first_ns for info in chosen if info.first_ns is not None]
@@ -296,7 +301,8 @@ def _print_topics(infos: list[TopicInfo]) -> None:
 def _print_activity(eras: list[Picture]) -> None:
     """Print bars with the number of messages over time, unless all have the same time.
 
-    Pauses of ten years or more are replaced by a mark.
+    Args:
+        eras: The pictures between pauses of ten years or more, each of which becomes a mark.
     """
     scales = [era.scale for era in eras if era.scale is not None]
     if not scales or scales[0].start == scales[-1].end:
@@ -304,7 +310,7 @@ def _print_activity(eras: list[Picture]) -> None:
     lines: dict[tuple[str, str], list[str]] = {}
     for number, (era, scale) in enumerate(zip(eras, scales)):
         for lane in era.lanes:
-            blank = [" " * era_scale.cells for era_scale in scales]
+            blank = [" " * era_scale.cells for era_scale in scales]  # a lane may lack an era
             texts = lines.setdefault((shown(lane.topic), shown(lane.node) or "-"), blank)
             texts[number] = sparkline(lane.cells(scale).counts.tolist(), sys.stdout.encoding)
     rows = [(*lane, _FOLD.join(texts)) for lane, texts in lines.items() if "".join(texts).strip()]
@@ -318,6 +324,7 @@ def _print_activity(eras: list[Picture]) -> None:
 
 
 def _activity_answer(activity: Picture) -> dict[str, object]:
+    """Return the picture for JSON: the number of messages in each time step, by topic and robot."""
     scale = activity.scale
     if scale is None:
         return {"start_ns": None, "step_ns": None, "topics": []}
@@ -370,6 +377,7 @@ def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]
         groups.setdefault((loss.topic, loss.node, loss.writer, loss.kind), []).append(loss)
     for (topic, node, writer, kind), group in sorted(groups.items()):
         count = sum(loss.count for loss in group)
+        # A count of 0 means that it is not known how many were lost.
         unknown = "" if all(loss.count for loss in group) else "?" if not count else " or more"
         yield (
             shown(topic),
@@ -383,6 +391,7 @@ def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]
 
 
 def _answer(description: _Description) -> dict[str, object]:
+    """Return the answer for YAML and JSON, in types that PyYAML can write."""
     start_ns, end_ns = description.ends or (None, None)
     times: dict[str, object] = {}
     if start_ns is not None and end_ns is not None:
@@ -409,6 +418,7 @@ def _answer(description: _Description) -> dict[str, object]:
 
 
 def _topic_answer(info: TopicInfo, sample: MessageSample) -> dict[str, object]:
+    """Return the answer of one entry of the topics: first the keys of rosbag, then all others."""
     values = asdict(info)
     head = {
         "topic": values.pop("topic"),
@@ -422,6 +432,7 @@ def _topic_answer(info: TopicInfo, sample: MessageSample) -> dict[str, object]:
 
 
 def _value_of_key(answer: dict[str, object], key: str | None) -> object:
+    """Return the value of -k, or the whole answer without it; InvalidOption: there is no key."""
     if key is None:
         return answer
     if key not in answer:

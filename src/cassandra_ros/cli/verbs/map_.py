@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.viewing.mapping.map_builder import MapOptions, makeMap
 
     output = _output(options)
-    (start, end), choice = read_times(options), _choice(options)
+    (start, end), choice = read_times(options), _pose_choice(options)
     event = read_event(options)
     map_options = MapOptions(
         **_given_values(
@@ -159,13 +159,19 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _say(options: argparse.Namespace, line: str) -> None:
+    """Print a line of the publisher, unless -q is given."""
     if not options.quiet:
         # Standard output may be read by another program.
         print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
 def _output(options: argparse.Namespace) -> Path | None:
-    """Return the file to write; refuse an invalid name before the map is made."""
+    """Return the file to write; None = none. Refuse an invalid name before the map is made.
+
+    Raises:
+        InvalidName: The name has another ending.
+        InvalidOption: The file exists, or its folder cannot be written.
+    """
     from cassandra_ros.viewing.mapping.map_files import map_paths
 
     if not (options.output or options.store or options.publish):
@@ -185,7 +191,8 @@ def _output(options: argparse.Namespace) -> Path | None:
     return output
 
 
-def _choice(options: argparse.Namespace) -> PoseChoice:
+def _pose_choice(options: argparse.Namespace) -> PoseChoice:
+    """Return where the poses of the sensor come from."""
     from cassandra_ros.places.rigid import Rigid
     from cassandra_ros.viewing.mapping.sensor_poses import PoseChoice
 
@@ -235,6 +242,7 @@ def _store(ros_cas: RosCassandra, made: OccupancyMap, options: argparse.Namespac
 
 
 def _name(options: argparse.Namespace) -> str:
+    """Return the name under which the map is stored."""
     return str(options.map_name or options.topic.strip("/"))
 
 
@@ -294,4 +302,7 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
 
 def _percent(share: float) -> str:
     """Return a share as a percentage; only exactly 0 is '0 %' and only exactly 1 is '100 %'."""
-    return f"{min(99, max(1, round(100 * share))) if 0 < share < 1 else round(100 * share)} %"
+    percent = round(100 * share)
+    if 0 < share < 1:
+        percent = min(99, max(1, percent))
+    return f"{percent} %"

@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Set and remove keys, then print the metadata."""
     pairs: list[tuple[str, Any]] = [(name, _value(text)) for name, text in options.keys]
-    # A key of the value None is removed.
+    # A key of the value None is removed; the comment, which is always there, becomes empty.
     pairs += [(name, "" if name == "comment" else None) for name in options.remove]
     keys = read_pairs(options, "a key", pairs)
     with open_store(options) as ros_cas:
@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _value(text: str) -> object:
+    """Return what a text means as JSON, else the text."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):

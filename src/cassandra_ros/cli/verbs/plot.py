@@ -69,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _size(text: str) -> tuple[int, int]:
+    """Read width and height, pixels; raises InvalidOption."""
     match = re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", text)
     size = (int(match[1]), int(match[2])) if match else (0, 0)
     if any(side not in _SIZES for side in size):
@@ -111,6 +112,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(ros_cas: RosCassandra, statement: str, options: argparse.Namespace) -> Series:
+    """Read the numbers of a statement: for a line over time as many points as it has pixels."""
     from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PlotWindow
 
     start, end = read_times(options)

@@ -95,6 +95,7 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _count(text: str) -> int:
+    """Read a number of rows, at least 1; raises InvalidOption."""
     if not (text.isascii() and text.isdigit() and int(text)):
         raise InvalidOption(f"{text!r} is not a number of rows: at least 1")
     return int(text)
@@ -122,7 +123,10 @@ def run(options: argparse.Namespace) -> int:
 def quoted(options: argparse.Namespace, statements: Sequence[str], others: int = 0) -> None:
     """End the program if a statement is one word: the shell has taken it apart, without quotes.
 
+    A single word with no others is left to the parser of the language, which tells what is missing.
+
     Args:
+        options: The parsed options, with their parser.
         statements: The statements.
         others: Number of further words that are not options.
     """
@@ -133,7 +137,9 @@ def quoted(options: argparse.Namespace, statements: Sequence[str], others: int =
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Set the output format by the name of the file; end the program if options contradict.
+    """Check the statement's quotes and the options of the output; set the format if it is missing.
+
+    The program ends if they contradict. sql and query call it before they open the store.
 
     Raises:
         MissingDependency: The output is Parquet, and pyarrow is not installed.
@@ -162,6 +168,7 @@ def read_parameter(text: str) -> object:
 
 
 def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> int:
+    """Run a SELECT over several stores, and write its rows; return the exit status."""
     from cassandra_ros.cli.results import write
     from cassandra_ros.query.arrays.array_types import ArrayType
 
@@ -176,6 +183,7 @@ def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> i
 
 
 def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:
+    """Run a statement of any kind, and write its rows, if its kind has any."""
     from cassandra_ros.cli.results import write
     from cassandra_ros.query.arrays.array_types import ArrayType, column_types
     from cassandra_ros.query.tree.parse import parse_statement
@@ -183,16 +191,16 @@ def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence
 
     statement = parse_statement(options.statement, params)
     node, run, limit = options.node_id, options.run, options.limit
-    where = (options.output, options.output_file, options.force)
+    target = (options.output, options.output_file, options.force)
     if isinstance(statement, Select):
         with ros_cas.statements.select(statement, node=node, limit=limit, run=run) as result:
             kinds = [(name, ArrayType("mixed")) for name in result.columns]
             if options.output == "parquet":
                 kinds = column_types(statement, ros_cas.getTopic(statement.topic).tables)
-            write(kinds, result, *where)
+            write(kinds, result, *target)
         return
     if not options.allow_writes:
         raise InvalidOption("the statement changes what is stored; to run it, add --allow-writes")
     rows = ros_cas.statements.run(statement, node=node, limit=limit, run=run)
     if rows.columns:
-        write([(name, ArrayType("int64")) for name in rows.columns], rows, *where)
+        write([(name, ArrayType("int64")) for name in rows.columns], rows, *target)

@@ -24,7 +24,7 @@ cannot undo it; --dry-run prints how much would be deleted.
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Sequence
+from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.far_times import read_time
@@ -47,6 +47,7 @@ _FORM = "'TOPIC: CONDITION'"
 _EVENT = "event"
 """Word before the colon of --keep that stands for events."""
 _NUMBERS = ("messages", "dropped", "thinned", "left")
+"""Columns of the table, each an attribute of Retained."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,8 +115,8 @@ def run(options: argparse.Namespace) -> int:
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas.catalog, options)
 
-        def retain(text: str, dry_run: bool) -> list[Retained]:
-            with MessageBar(text) as bar:
+        def retain(dry_run: bool) -> list[Retained]:
+            with MessageBar("counting" if dry_run else "dropping") as bar:
                 return ros_cas.upkeep.retain(
                     topics,
                     max_age=options.max_age,
@@ -131,20 +132,39 @@ def run(options: argparse.Namespace) -> int:
                     progress=bar.reach,
                 )
 
-        results: list[Retained] = []
-        if options.dry_run or not options.yes:
-            results = retain("counting", dry_run=True)
-        if not options.dry_run:
-            if not options.yes and _dropped_messages(results):
-                confirm(f"Drop {counted(_dropped_messages(results), 'message')}?", _table(results))
-            results = retain("dropping", dry_run=False)
+        results = _count_and_drop(options, retain)
     _print(options, results)
     return 0
 
 
+def _count_and_drop(
+    options: argparse.Namespace, drop: Callable[[bool], list[Retained]]
+) -> list[Retained]:
+    """Count what would be dropped, ask, and drop it; return the numbers of what was done last.
+
+    Args:
+        options: With --dry-run it is only counted, with --yes it is neither counted nor asked.
+        drop: Drops messages; True = it only counts them.
+
+    Raises:
+        NotConfirmed: The answer is not yes.
+    """
+    results: list[Retained] = []
+    if options.dry_run or not options.yes:
+        results = drop(True)
+    if not options.dry_run:
+        if not options.yes and _dropped_messages(results):
+            confirm(f"Drop {counted(_dropped_messages(results), 'message')}?", _table(results))
+        results = drop(False)
+    return results
+
+
 def _print(options: argparse.Namespace, results: Sequence[Retained]) -> None:
     if options.json:
-        answer = [{"topic": e.topic, **{n: getattr(e, n) for n in _NUMBERS}} for e in results]
+        answer = [
+            {"topic": result.topic, **{name: getattr(result, name) for name in _NUMBERS}}
+            for result in results
+        ]
         print_json({"topics": answer, "dry_run": options.dry_run})
     elif not options.quiet:
         if any(result.messages for result in results):
@@ -155,7 +175,7 @@ def _print(options: argparse.Namespace, results: Sequence[Retained]) -> None:
 
 
 def _keep_under(options: argparse.Namespace) -> int:
-    """Delete what another store has first."""
+    """Do what --max-size with --copied says: delete first what another store has acknowledged."""
     other = (options.max_age, options.thin, options.now, *options.keep, *options.topics)
     if options.max_size is None or any(value is not None for value in other):
         options.parser.error("--copied goes with --max-size, and with no topics or other rules")
@@ -164,19 +184,13 @@ def _keep_under(options: argparse.Namespace) -> int:
     with open_store(options) as ros_cas:
         uncopied = options.copied == "first"
 
-        def keep(dry_run: bool) -> list[Retained]:
+        def drop(dry_run: bool) -> list[Retained]:
             report = keep_under(
                 ros_cas.catalog, options.max_size, uncopied=uncopied, dry_run=dry_run
             )
             return [report.topics[topic] for topic in sorted(report.topics)]
 
-        results: list[Retained] = []
-        if options.dry_run or not options.yes:
-            results = keep(dry_run=True)
-        if not options.dry_run:
-            if not options.yes and _dropped_messages(results):
-                confirm(f"Drop {counted(_dropped_messages(results), 'message')}?", _table(results))
-            results = keep(dry_run=False)
+        results = _count_and_drop(options, drop)
     _print(options, results)
     return 0
 

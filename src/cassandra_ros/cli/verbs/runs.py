@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Iterator, Mapping, Sequence
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store, read_pairs
-from cassandra_ros.cli.terminal_text import MessageBar, format_table
+from cassandra_ros.cli.terminal_text import MessageBar, format_table, format_time
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.printable import shown
@@ -47,8 +47,11 @@ if TYPE_CHECKING:
 
 _HEADER = ("run", "id", "robot", "kind", "first", "last", "state", "messages", "lost", "labels")
 _OF_SET = ("new_name", "node_id", "label", "remove_label", "quiet")
+"""Options that go with set only, by their ``dest``."""
 _OF_PARAMS = ("name", "load", "graph", "namespace")
+"""Options that do not go with set, by their ``dest``."""
 MASTERS_OWN = ("/rosdistro", "/rosversion", "/run_id", "/roslaunch")
+"""Parameters, and namespaces, that describe the running master itself."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,8 +140,8 @@ def _row(run: Run) -> tuple[str, ...]:
         str(run.writer),
         shown(run.node) or "-",
         run.kind,
-        _second(run.first_ns),
-        _second(run.last_ns),
+        format_time(run.first_ns),
+        format_time(run.last_ns),
         run.state,
         str(sum(run.stored.values())),
         str(sum(run.lost.values())),
@@ -153,15 +156,8 @@ def _labels(labels: Mapping[str, str]) -> str:
 
 
 def time_of(when: datetime | None) -> str:
-    """Return a time of a run as text, in UTC; '-' for None."""
+    """Return a time of the registry, which is in UTC, as text; '-' for None."""
     return "-" if when is None else f"{when:%Y-%m-%dT%H:%M:%SZ}"
-
-
-def _second(ns: int | None) -> str:
-    """Return the second in which a time lies; '-' for None."""
-    from cassandra_ros.messages.stamps import iso_time
-
-    return "-" if ns is None else f"{iso_time(ns)[:19]}Z"
 
 
 def _tell_params(options: argparse.Namespace) -> int:
@@ -183,6 +179,7 @@ def _tell_params(options: argparse.Namespace) -> int:
 
 
 def _below(params: Mapping[str, object], namespace: str) -> object:
+    """Return the parameters in a namespace, or one parameter; InvalidOption: it is missing."""
     value: object = params
     for name in filter(None, namespace.split("/")):
         if not isinstance(value, Mapping) or name not in value:
@@ -192,6 +189,7 @@ def _below(params: Mapping[str, object], namespace: str) -> object:
 
 
 def _load(context: RunContext, options: argparse.Namespace) -> None:
+    """Set the parameters on the running master, but none of its own and none without a value."""
     from cassandra_ros.messages.ros_master import set_parameters
 
     namespace = options.namespace
@@ -217,7 +215,10 @@ def _is_masters(name: str) -> bool:
 
 
 def _leaves(value: object, name: str) -> Iterator[tuple[str, object]]:
-    """Yield single parameters. Setting a whole mapping would delete other parameters in it."""
+    """Yield name and value of each single parameter of a value with this name.
+
+    Setting a whole mapping would delete other parameters in it.
+    """
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from _leaves(inner, f"{name}/{key}")
@@ -244,6 +245,11 @@ def _readable(value: object) -> object:
 
 
 def _graph(graph: NodeGraph) -> dict[str, object]:
+    """Return for each ROS node what it publishes, subscribes to and offers.
+
+    The edges of the graph go from the name of a topic or a service to its nodes.
+    """
+
     def names_of(node: str, edges: Graph) -> list[str]:
         return sorted(name for name, nodes in edges.items() if node in nodes)
 

@@ -43,7 +43,10 @@ _ACTIONS = ("list", "drain", "export", "drop")
 
 
 class _ListedRun(NamedTuple):
+    """What list says of a run in the spool; the fields are the keys of --json."""
+
     id: str
+    """Name of its folder."""
     run: str
     robot: str
     keyspace: str
@@ -53,6 +56,7 @@ class _ListedRun(NamedTuple):
     first_ns: int
     last_ns: int
     state: str
+    """'left', 'recording', or why one of its files cannot be read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +83,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _lock_runs(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
-    """Yield the runs without a process with these ids, or all, locked one after the other."""
+    """Yield the runs with these ids, or all, that no running recorder uses.
+
+    Each is locked until the next one is asked for.
+
+    Raises:
+        SpoolError: The spool has no run of an id, or its recorder is running.
+    """
     from cassandra_ros.recording.spool_drain import read_left
 
     there = {path.name for path in folder.runs()}
@@ -101,6 +111,7 @@ def _lock_runs(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
 
 
 def _describe_run(path: Path, state: str) -> _ListedRun:
+    """Read what the files of a run say of it, without a lock: its recorder may be writing them."""
     from cassandra_ros.errors import CassandraRosError
     from cassandra_ros.files.spool.segment_reader import SegmentReader
     from cassandra_ros.files.spool.spool_folder import run_bytes, run_files
@@ -116,12 +127,10 @@ def _describe_run(path: Path, state: str) -> _ListedRun:
         except CassandraRosError as exc:
             state = str(exc)
     first = total.first_ns if total.count else 0
-    named = (
-        ("", "", "", "")
-        if label is None
-        else (label.name, label.node, label.keyspace, label.address)
-    )
-    return _ListedRun(path.name, *named, total.count, run_bytes(path), first, total.last_ns, state)
+    origin = ("", "", "", "")
+    if label is not None:
+        origin = (label.name, label.node, label.keyspace, label.address)
+    return _ListedRun(path.name, *origin, total.count, run_bytes(path), first, total.last_ns, state)
 
 
 def _left_names(folder: SpoolFolder) -> list[str]:
@@ -161,6 +170,7 @@ def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
 
 
 def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
+    """Store the runs that are named, else those of this keyspace and address; return the status."""
     from cassandra_ros.recording.left_runs import lines_of
     from cassandra_ros.recording.spool_drain import Drain
 
@@ -223,12 +233,14 @@ def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
         options.parser.error(f"FILE is missing: {target} is a run; spool export RUN rest.mcap")
     if os.path.exists(target):
         raise BagError(f"{target} exists; choose another name")
-    messages, damaged = 0, []
+    messages = 0
+    damaged: list[str] = []
     with make_file(target) as writer:
         numbers: dict[Connection, int] = {}
         for left_run in _lock_runs(folder, ids):
             for segment_part in read_run(left_run.folder):
-                damaged += [segment_part.damage] * bool(segment_part.damage)
+                if segment_part.damage:
+                    damaged.append(segment_part.damage)
                 for connection, t_ns, _, wire in segment_part.messages:
                     if connection not in numbers:
                         numbers[connection] = writer.connection(connection)

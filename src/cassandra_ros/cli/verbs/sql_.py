@@ -67,18 +67,18 @@ def run(options: argparse.Namespace) -> int:
         if options.explain:
             print(shown_lines(str(result.explain())))
             return 0
-        where = (options.output_file, options.force)
+        target = (options.output_file, options.force)
         if options.output == "parquet":
-            write_batches(_limit_batches(result, options.limit), *where)
+            write_batches(_limit_batches(result, options.limit), *target)
             return 0
         columns = [(name, ArrayType("mixed")) for name in result.columns]
         rows = (tuple(map(printable_value, row)) for row in islice(result, options.limit))
-        write(columns, rows, options.output, *where)
+        write(columns, rows, options.output, *target)
     return 0
 
 
 def _limit_batches(result: SqlResult, limit: int | None) -> Iterator[pyarrow.RecordBatch]:
-    """Yield the batches of a result, with at most so many rows; at least one batch."""
+    """Yield the batches of a result, at least one, with at most ``limit`` rows; None = all."""
     remaining = limit
     for batch in result.batches():
         yield batch if remaining is None else batch.slice(0, remaining)

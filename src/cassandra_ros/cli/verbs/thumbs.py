@@ -120,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _count(options: argparse.Namespace) -> int:
-    """Return the maximum number of pictures."""
+    """Return the maximum number of pictures; raises InvalidOption if the sheet is too large."""
     if not 1 <= options.width <= MAX_WIDTH:
         raise InvalidOption(f"--width {options.width} is not within 1 to {MAX_WIDTH} pixels")
     most: int = min(MAX_PICTURES, _MAX_PIXELS // options.width**2)
@@ -159,6 +159,7 @@ def _draw(
 
 
 def _message_choice(catalog: Catalog, topic: str, options: argparse.Namespace) -> MessageChoice:
+    """Return which messages may be drawn; InvalidOption: --where is for another topic."""
     from cassandra_ros.topics.overview.time_sample import MessageChoice
 
     start, end = read_times(options)

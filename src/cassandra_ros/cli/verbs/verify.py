@@ -135,6 +135,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> VerifyReport:
+    """Compare a bag or an MCAP; verify_bag reads it twice, so there are two progress bars."""
     from cassandra_ros.files.bag.comparison import verify_bag, verify_content
     from cassandra_ros.files.bag.file_formats import open_file
     from cassandra_ros.files.bag.message_file import topics_of
@@ -178,6 +179,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
 
 
 def _compare_stores(options: argparse.Namespace) -> int:
+    """Compare with the store of --with, and print the buckets that differ; return the status."""
     from cassandra_ros.stores.copying.replicator import Replicator
 
     if options.content or options.map or options.start or options.end or options.event:
@@ -207,6 +209,7 @@ def _compare_stores(options: argparse.Namespace) -> int:
 
 
 def _print_left_out(report: VerifyReport) -> None:
+    """Print what the comparison left out; this does not count as a difference."""
     if report.left_out:
         what = f"{counted(report.left_out, 'message')} that the export took from before its window"
         print(f"not compared: {what}, as latched")
