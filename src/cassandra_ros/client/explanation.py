@@ -107,7 +107,7 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
         returned = sum(1 for _ in result)
     pushed = result.pushdown
     ways: dict[Leaf, list[str]] = {}
-    for (_, way), leaf in pushed.used.items():
+    for (_, way), leaf in pushed.used.items():  # way: 'index', 'filter' or 'zones'
         ways.setdefault(leaf, []).append(way)
     return Explanation(
         statement=result.select.text,
@@ -117,8 +117,8 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
         filtered=pushed.filtered,
         whole=pushed.whole,
         skipped=pushed.skipped,
-        server=tuple(f"{_leaf(leaf)} ({' and '.join(how)})" for leaf, how in ways.items()),
-        client=tuple(_alone(result.select.condition, set(ways))),
+        server=tuple(f"{_leaf_text(leaf)} ({' and '.join(how)})" for leaf, how in ways.items()),
+        client=tuple(_unpushed(result.select.condition, set(ways))),
         rows_read=result.read,
         rows_returned=returned,
         blocks=pushed.blocks,
@@ -130,13 +130,16 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
     )
 
 
-def _alone(condition: Expression | None, pushed: set[Leaf]) -> Iterator[str]:
-    """Yield the parts of a condition that the server did not check at all."""
-    for condition_part in conjuncts(condition):
-        terms = chain.from_iterable(map(terms_of, leaves(condition_part)))
-        fields = any(isinstance(p, FieldPath) for term in terms for p in inside(term))
-        if fields and not pushed.intersection(leaves(condition_part)):
-            yield _condition_text(condition_part)
+def _unpushed(condition: Expression | None, pushed: set[Leaf]) -> Iterator[str]:
+    """Yield the texts of the conjuncts about fields of which the server checked nothing.
+
+    Those about KEY, NODE, RUN and the like only are left out: they choose what is read.
+    """
+    for conjunct in conjuncts(condition):
+        terms = chain.from_iterable(map(terms_of, leaves(conjunct)))
+        has_fields = any(isinstance(inner, FieldPath) for term in terms for inner in inside(term))
+        if has_fields and not pushed.intersection(leaves(conjunct)):
+            yield _condition_text(conjunct)
 
 
 def _condition_text(condition: Expression) -> str:
@@ -145,10 +148,11 @@ def _condition_text(condition: Expression) -> str:
         return f"({word.join(_condition_text(item) for item in condition.items)})"
     if isinstance(condition, Negation):
         return f"NOT {_condition_text(condition.item)}"
-    return _leaf(condition)
+    return _leaf_text(condition)
 
 
-def _leaf(leaf: Leaf) -> str:
+def _leaf_text(leaf: Leaf) -> str:
+    """Return a comparison as text; of a long list of IN only the first five values."""
     if isinstance(leaf, (Relate, Quantified, *TIMED)):
         return leaf.text
     if isinstance(leaf, IsNull):

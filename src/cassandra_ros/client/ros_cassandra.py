@@ -63,7 +63,8 @@ class RosCassandra:
     Args:
         host: One address, or several divided by commas; None = CASSANDRA_ROS_HOST, else 127.0.0.1.
         port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
-        keyspace: Keyspace to connect; None = CASSANDRA_ROS_KEYSPACE. The first write makes it.
+        keyspace: Keyspace to connect; None = CASSANDRA_ROS_KEYSPACE, else none, until
+            connectToKeyspace is called. The first write makes it.
         clock: Returns the time of messages without a key; None = that of a ROS node in this
             process, else wall clock.
         login: ``username password ssl_context cqlshrc credentials consistency answer_sec``, as in
@@ -72,6 +73,7 @@ class RosCassandra:
     Raises:
         ConnectionFailed: No server answers there, or it refuses the login.
         InvalidOption: The port is not valid, or a file cannot be read.
+        InvalidName: The keyspace is not a keyspace name.
     """
 
     def __init__(
@@ -142,7 +144,7 @@ class RosCassandra:
 
     @property
     def catalog(self) -> Catalog:
-        """The topics of the connected keyspace.
+        """The topics of the connected keyspace. It is another object after connectToKeyspace.
 
         Raises KeyspaceNotFound if no keyspace is connected.
         """
@@ -308,7 +310,8 @@ class RosCassandra:
     ) -> InfoList:
         """Describe what is stored: counts, sizes and times by topic, table and node.
 
-        With a node or run only the tables in which it has messages are listed.
+        The arguments are those of readMessages. With a node or run only the tables in which it has
+        messages are listed.
         """
         return InfoList(self.catalog.infos(topics, nodeID, run))
 
@@ -323,7 +326,8 @@ class RosCassandra:
     def runContext(self, run: RunName) -> RunContext | None:
         """Return parameters and node graph at the start of a run; None if they were not stored.
 
-        If several runs have this name, the one that began last counts. Raises RunNotFound.
+        If several runs have this name, the one that began last counts. Raises RunNotFound, also
+        for None.
         """
         return self.catalog.keyspace.runs.context(run)
 
@@ -488,7 +492,8 @@ class RosCassandra:
             topics, key, to_key, nodeID, where, run: As in readMessages, also the errors.
 
         Raises:
-            InvalidOption: No poses of the robot are stored, or several robots are possible.
+            InvalidOption: The disk is not valid, no poses of the robot are stored, or several
+                robots are possible.
         """
         names, catalog = check_topics(topics), self.catalog
         read = catalog.read_of(names, key, to_key, catalog.whose(nodeID, run))
@@ -525,16 +530,16 @@ class RosCassandra:
 
         Raises:
             InvalidKey: tolerance is not a length of time, or is negative.
-            TopicNotFound, InvalidOption, InvalidQuery: As in readMessages.
+            TopicNotFound, RunNotFound, InvalidOption, InvalidQuery: As in readMessages.
         """
-        reach, space = duration_ns(tolerance), self.catalog
-        first, second = space.get(topic_a), space.get(topic_b)
-        whose = space.whose(nodeID, run)
-        read = space.read_of([topic_a], key, to_key, whose)
-        filters = space.filters(where, (topic_a, topic_b), whose)
-        rows = space.merged(first.tables, filters, read)
+        reach, catalog = duration_ns(tolerance), self.catalog
+        first, second = catalog.get(topic_a), catalog.get(topic_b)
+        whose = catalog.whose(nodeID, run)
+        read = catalog.read_of([topic_a], key, to_key, whose)
+        filters = catalog.filters(where, (topic_a, topic_b), whose)
+        rows = catalog.merged(first.tables, filters, read)
         wider = replace(read, time_range=read.time_range.wider(reach))
-        partners = space.merged(second.tables, filters, wider)
+        partners = catalog.merged(second.tables, filters, wider)
         return nearest_pairs(rows, partners, reach, unpaired)
 
     def toDataFrame(
@@ -732,7 +737,7 @@ class RosCassandra:
             TopicNotFound: Neither topic is stored.
             TypeMismatch: A topic does not hold transforms.
             MissingDependency: tf2_py is not installed.
-            InvalidKey, InvalidName.
+            RunNotFound, InvalidKey, InvalidName.
         """
         writers = self.catalog.keyspace.runs.writers(run)
         return lookup_transform(
@@ -747,10 +752,14 @@ def _near_rows(
     read: Read,
     where: Conditions,
 ) -> Iterator[StoredRow]:
-    """Yield the rows of topics (None = all) whose robot was on a disk; see RosCassandra.near."""
+    """Return the rows of topics (None = all) whose robot was on a disk; see RosCassandra.near.
+
+    What is wrong is raised here, not when the first row is taken.
+    """
     tables = catalog.tables(topics)
     names = sorted({table.metadata.topic for table in tables})
-    catalog.filters(where, names, read.whose)  # raises for invalid conditions
+    # Before NEAR is joined: what is wrong with a condition of the caller stays an InvalidQuery.
+    catalog.filters(where, names, read.whose)
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
     conditions: dict[str, Where] = {name: _and_near(given.get(name), disk) for name in names}
     try:
@@ -762,7 +771,7 @@ def _near_rows(
 
 
 def _and_near(where: Where | None, disk: NearDisk) -> Where:
-    """Return the condition NEAR, joined with another condition if there is one."""
+    """Return the condition NEAR with its values, joined with another condition if there is one."""
     values = list(disk if disk[-1] else disk[:-1])
     near = f"NEAR({', '.join('?' * len(values))})"
     if where is None:

@@ -78,7 +78,7 @@ class Statements:
             result = self.select(parsed, node=node, limit=limit, run=run)
             return Rows(result, result.columns)
         text = parsed.text
-        start = len(text) - len(text.lstrip())
+        start = len(text) - len(text.lstrip())  # errors point at the first word
         if limit is not None:
             reason = "limit= bounds the rows of a SELECT, it does nothing here"
             raise InvalidQuery(text, start, reason)
@@ -113,6 +113,7 @@ class Statements:
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
         topic, whose = self.topic_of(select), self._catalog.whose(node, run)
+        # Made again if another client has added a table with the field meanwhile.
         return self._keyspace.tables.naming(
             lambda: QueryResult(
                 select, topic, whose, limit=limit, after=after, plan=plan, watch=watch
@@ -166,6 +167,11 @@ class Statements:
             return self._catalog.get(topic)
 
     def _delete(self, statement: Delete, node: str | None, run: RunName) -> int:
+        """Delete messages; return their number.
+
+        If the bounds are the whole condition, their range is deleted without being read. Otherwise,
+        and where the keys are names, each message is read, checked and deleted alone.
+        """
         self._keyspace.schema.tables(fresh=True)  # so that tables just made by others are included
         topic = self.topic_of(statement)
         named = any(table.named for table in topic.tables)
@@ -183,6 +189,7 @@ class Statements:
         return topic.removeData(low, high, nodeID=whose.node, run=whose.writers)
 
     def _create_index(self, statement: CreateIndex) -> None:
+        """Make an index. It gets its name first: if that is taken no index is made."""
         text, on, name = statement.text, statement.on, statement.name
         self._keyspace.schema.tables(fresh=True)  # other clients may have made or dropped indexes
         topic = self._find(text, on.topic, on.topic_position)
@@ -204,16 +211,18 @@ class Statements:
     def _drop_index(self, statement: DropIndex) -> None:
         index = statement.index
         if isinstance(index, IndexName):
-            indexed, spot = self._index_named(statement, index), index.position
+            indexed, position = self._index_named(statement, index), index.position
         else:
-            indexed, spot = self._index_on(statement, index), index.field.position
+            indexed, position = self._index_on(statement, index), index.field.position
         if indexed is not None:
-            with _at(statement.text, spot):  # already removed, or needed by the key
-                indexed[0].removeIndex(indexed[1])
+            topic, field = indexed
+            with _at(statement.text, position):  # already removed, or needed by the key
+                topic.removeIndex(field)
 
     def _index_named(
         self, statement: DropIndex, name: IndexName
     ) -> tuple[CassandraTopic, str] | None:
+        """Return topic and field of the index of a name; None = none, and IF EXISTS is given."""
         names = names_of_indexes(self._keyspace.schema.tables(fresh=True))
         columns = names.get(name.text, [])
         if len(columns) == 1:
@@ -230,6 +239,7 @@ class Statements:
         raise InvalidQuery(statement.text, name.position, reason)
 
     def _index_on(self, statement: DropIndex, index: Indexed) -> tuple[CassandraTopic, str] | None:
+        """Return topic and field of the index on a field; None = none, and IF EXISTS is given."""
         self._keyspace.schema.tables(fresh=True)
         if statement.if_exists and not self._catalog.exists(index.topic):
             return None

@@ -31,13 +31,16 @@ class TopicsFrame:
         catalog: The topics.
         names: Names of the topics.
         fields: Fields by topic; None, or a topic that is missing in it = all.
-        within: Maximum distance of a message from the time of its row.
-        time_range: Times of the rows.
+        within: Maximum distance of a message from the time of its row: seconds, a text like '20ms',
+            a Duration or a timedelta.
+        time_range: Times of the rows. 0 and LAST_NS as its ends mean that it is open there.
         node, run: nodeID and run of the messages; None = all, which must be of one robot.
 
     Raises:
         TopicNotFound: A topic is not stored.
-        InvalidOption: Fields are for a topic that is not read.
+        InvalidOption: Fields are for a topic that is not read, or ``within`` is a text without a
+            length of time.
+        InvalidKey: ``within`` is no length of time.
     """
 
     def __init__(
@@ -57,12 +60,12 @@ class TopicsFrame:
         self._topics = list({topic.name: topic for topic in map(catalog.get, names)}.values())
         if fields is not None and not isinstance(fields, Mapping):
             raise InvalidOption(f"fields= is a mapping of topics to fields, not {fields!r:.80}")
-        self._fields = {catalog.get(name).name: each for name, each in (fields or {}).items()}
+        self._fields = {catalog.get(name).name: wanted for name, wanted in (fields or {}).items()}
         for name in set(self._fields).difference(topic.name for topic in self._topics):
             raise InvalidOption(f"fields= has topic {name}, which is not among the topics")
 
     def every(self, step: object) -> Any:
-        """Return a row for each step of time, with the last messages at or before it.
+        """Return a pandas.DataFrame: a row for each step, with the last messages at or before it.
 
         Raises:
             InvalidOption: The step is 0, or makes more than MAX_GRID_ROWS rows; or as in nearest.
@@ -91,22 +94,22 @@ class TopicsFrame:
         return as_frame(align_fields(gathered, places, times))
 
     def nearest(self, topic: str) -> Any:
-        """Return a row for each message of a topic, with the nearest messages of the others.
+        """Return a pandas.DataFrame: a row for each message of a topic, and the nearest of others.
 
         Raises:
             InvalidOption: The messages are of several robots, or have names instead of times.
             RunNotFound: There is no such run.
             InvalidQuery: A topic does not have a field.
         """
-        base, names = self._catalog.get(topic), [each.name for each in self._topics]
+        base, names = self._catalog.get(topic), [other.name for other in self._topics]
         self._check_robots([base, *self._topics])
         low, high = self._range
-        own = self._gather(base, low, high, only_times=base.name not in names)
-        times = own["KEY"].values
+        base_fields = self._gather(base, low, high, only_times=base.name not in names)
+        times = base_fields["KEY"].values
         gathered, places = {}, {}
         for other in self._topics:
             if other.name == base.name:
-                fields, chosen = own, np.arange(len(times))
+                fields, chosen = base_fields, np.arange(len(times))
             else:
                 fields = self._gather(other, low - self._within, high + self._within)
                 chosen = nearest_places(fields["KEY"].values, times, self._within)
@@ -116,7 +119,16 @@ class TopicsFrame:
     def _gather(
         self, topic: CassandraTopic, low: int, high: int, *, only_times: bool = False
     ) -> dict[str, FieldArray]:
-        """Return fields of the messages in a time range, and KEY."""
+        """Return KEY and the fields of the messages in a time range.
+
+        Args:
+            topic: The topic.
+            low, high: First and last time, both included, ns. They may lie outside of ROS time.
+            only_times: Return KEY alone.
+
+        Raises:
+            InvalidOption: The keys of the topic are names.
+        """
         fields = () if only_times else self._fields.get(topic.name)
         if fields is not None:
             fields = ["KEY", *check_list("fields", fields, "['linear.x']")]
@@ -134,13 +146,13 @@ class TopicsFrame:
             return
         robots = set(keyspace.nodes([table for topic in topics for table in topic.tables]))
         writers = keyspace.runs.writers(self._run)
-        of_run = None if writers is None else keyspace.runs.nodes(writers)
-        robots = robots if of_run is None else robots & of_run
+        run_robots = None if writers is None else keyspace.runs.nodes(writers)
+        robots = robots if run_robots is None else robots & run_robots
         if len(robots) > 1:
             names = ", ".join(sorted(robots))
             raise InvalidOption(f"the messages are of several robots ({names}): choose by nodeID=")
 
 
 def _length_ns(given: object) -> int:
-    """Return the ns of a length of time; of a text such as '20ms', too."""
+    """Return the ns of a length of time, at least 0; of a text such as '20ms', too."""
     return duration_ns(exact_seconds(given) if isinstance(given, str) else given)

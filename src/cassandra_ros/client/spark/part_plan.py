@@ -18,6 +18,7 @@ from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_PART_BYTES = 64 * 1024 * 1024
+"""Default maximum size of the messages of a partition with several buckets, bytes."""
 _MIN_PART_BYTES = 1024 * 1024
 """Size up to which messages are not spread over more partitions, bytes: reading as much takes about
 as long as starting a task and connecting to the store."""
@@ -60,9 +61,13 @@ def plan_parts(
     """Return what each partition reads: every message once. Without messages there is no part.
 
     Args:
+        keyspace: Keyspace of the topic.
+        tables: Tables of the topic.
         times: First and last time, both included; None = open.
+        whose: Robots and runs whose messages are read. The runs only leave out buckets: the reader
+            is given the run, too.
         part_bytes: Maximum size of the messages of a part with several buckets, bytes.
-        at_once: Number of parts that Spark can read at once.
+        at_once: Number of parts that Spark can read at once; parts become smaller to be so many.
 
     Raises:
         InvalidKey: A time is not valid, or the messages have names instead of times.
@@ -88,18 +93,18 @@ def plan_parts(
 
 
 def _buckets(
-    directory: Directory, tables: Sequence[TopicTable], ends: tuple[int, int], whose: Whose
+    directory: Directory, tables: Sequence[TopicTable], times: tuple[int, int], whose: Whose
 ) -> dict[str, list[BucketRange]]:
     """Return the buckets with messages in a time range, by robot."""
     buckets: dict[str, list[BucketRange]] = {}
     for table in tables:
         length = table.metadata.bucket_ns
-        numbers = (table.bucket_of(ends[0]), table.bucket_of(ends[1]))
+        numbers = (table.bucket_of(times[0]), table.bucket_of(times[1]))
         for row in buckets_of(directory, table, whose, numbers):
-            if row.closed and not row.rows:
+            if row.closed and not row.rows:  # one that is open has its count not yet
                 continue
             first = row.bucket * length
-            low, high = max(first, ends[0]), min(first + length - 1, ends[1])
+            low, high = max(first, times[0]), min(first + length - 1, times[1])
             buckets.setdefault(row.node, []).append(BucketRange(low, high, row.bytes))
     return buckets
 
@@ -107,7 +112,7 @@ def _buckets(
 def pack(buckets: dict[str, list[BucketRange]], part_bytes: int) -> list[SparkPartition]:
     """Return parts of consecutive buckets of a robot, or of several robots.
 
-    Buckets of several tables, or writers, may overlap: each time of a robot is in one piece.
+    Buckets of several tables, or writers, may overlap: each time of a robot is in one part only.
 
     Args:
         buckets: The buckets by robot, in any order.

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 _EVERYTHING = RobotTimeRange()
 _SIGNED = {"uint8": "int16", "uint16": "int32", "uint32": "int64"}
+"""Type of Spark, which has no unsigned ones, for a type of Arrow."""
 _UINT64_DIGITS = 20
+"""Number of digits of the largest uint64."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +37,14 @@ class FrameSelection:
     run: RunName
 
     def reader(self, topic: CassandraTopic, piece: RobotTimeRange = _EVERYTHING) -> Any:
-        """Return a pyarrow.RecordBatchReader of the messages of a piece."""
+        """Return a pyarrow.RecordBatchReader of the messages of a robot and time range."""
         # As Stamps, because a small integer is refused as one that may mean seconds.
         low, high = (None if t is None else Stamp.from_ns(t) for t in (piece.low, piece.high))
         return topic.toArrow(self.fields, low, high, self.where, piece.node, self.run)
 
 
 class PartReader:
-    """Reads parts of a topic, by their numbers; Spark sends it to the executors.
+    """Reads parts of a topic, by their numbers. Spark pickles it, and sends it to the executors.
 
     Args:
         store: Address and login of the store.
@@ -64,7 +66,13 @@ class PartReader:
         self._schema = schema
 
     def __call__(self, numbers: Iterable[pyarrow.RecordBatch]) -> Iterator[pyarrow.RecordBatch]:
-        """Yield the messages of the parts whose numbers come in the batches."""
+        """Yield the messages of the parts whose numbers are in the first column of the batches.
+
+        Each task of an executor calls it once, and so has a connection of its own.
+
+        Raises:
+            StoreUnavailable: The topic has other columns than when the parts were planned.
+        """
         schema = spark_schema(self._schema)
         with self._store.open() as ros_cas:
             topic = ros_cas.getTopic(self._selection.topic)

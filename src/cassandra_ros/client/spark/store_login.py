@@ -13,7 +13,9 @@ from cassandra_ros.store.connection.address import DEFAULT_KEYSPACE, from_enviro
 from cassandra_ros.store.connection.login import read_login
 
 _OF_LOGIN = ("username", "password", "cqlshrc", "credentials")
+"""Options that the driver reads; the executors get what they say."""
 _OF_ANSWERS = ("consistency", "answer_sec")
+"""Options that the executors get as they are."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class StoreLogin:
     username: str | None = None
     password: str | None = field(default=None, repr=False)
     cqlshrc: str | None = None
-    """File with the settings of TLS; None = no TLS."""
+    """File with the settings of TLS, which each executor reads on its machine; None = no TLS."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Options of class Cassandra for answers."""
 

@@ -20,6 +20,7 @@ from cassandra_ros.topics.run_finder import RunName
 Session = Any
 DataFrame = Any
 _MOST_BYTES = 2**40
+"""Maximum of part_bytes."""
 _TOO_NEW = (3, 12)
 """Oldest Python that PySpark 3.5 does not run in."""
 
