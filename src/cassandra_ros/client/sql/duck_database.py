@@ -28,10 +28,11 @@ SPILL_BYTES = 32 * 10**9
 """Maximum size of what goes to disk, bytes."""
 _PREFIX = "cassandra_ros_sql_"
 _NEW_SEC = 60.0
-"""Age of a folder from which it is locked, if its process is running, s."""
+"""Age above which an unlocked folder is deleted, s. A younger one may be about to be locked."""
 _SETTINGS = ("SET asof_loop_join_threshold = 0",)
 """The number of rows is unknown to DuckDB: it would compare each with each."""
 
+# Makes tf('target', 'source'); the table of frames_table must be there.
 _TF = (
     "CREATE MACRO tf(target, source) AS TABLE "
     "FROM query_table('tf_' || hex(target) || '_' || hex(source))"
@@ -82,7 +83,9 @@ def _clock_macros(ns: int) -> list[str]:
 
 
 class SpillFolder:
-    """A folder for what goes to disk, deleted by ``close``, or by the next one if a kill ended it.
+    """A folder for what goes to disk, deleted by ``close``.
+
+    It is locked until then. A kill leaves it unlocked: the next one without a parent deletes it.
 
     Args:
         parent: Folder in which it lies; None = the system's folder for temporary files.
@@ -186,6 +189,7 @@ class DuckDatabase:
         """Return whether a text is one statement that only reads, as DuckDB parses it.
 
         Args:
+            text: The text; a duckdb.Error is raised if it cannot be parsed.
             pivots: It has a PIVOT. Without IN that is two statements: the first collects the names
                 of the columns.
         """
@@ -208,7 +212,9 @@ class DuckDatabase:
         return self.connection.sql(text, params=params or None)
 
     def check_spill(self) -> None:
-        """Check that no more is on disk than may be; DuckDB 1 does not count the rows it sorts.
+        """Check that no more is on disk than may be: DuckDB 1 does not count the rows it sorts.
+
+        Another thread may be running a statement.
 
         Raises:
             duckdb.OutOfMemoryException: It is more.

@@ -40,7 +40,7 @@ class _Ranges(NamedTuple):
     highs: AnyArray
     """Last times, ns, included."""
     codes: AnyArray
-    """Places of the names."""
+    """Indexes of the names, in the sorted list of all names."""
 
 
 class EventNames:
@@ -61,32 +61,35 @@ class EventNames:
             {event.name for robot_events in self._events.values() for event in robot_events}
         )
         self._ranges: dict[str, _Ranges] = {}
+        """Time ranges by nodeID, as far as they were needed."""
 
     def column(self, batch: pyarrow.RecordBatch) -> pyarrow.Array:
-        """Return the column for messages of which KEY and NODE are given."""
+        """Return the column EVENT for messages in any order, of which KEY and NODE are given."""
         arrow, count = self._arrow, batch.num_rows
         keys = batch.column("KEY").cast(arrow.int64()).to_numpy(zero_copy_only=False)
         nodes = batch.column("NODE").dictionary_encode()
-        places = nodes.indices.to_numpy(zero_copy_only=False)
+        node_numbers = nodes.indices.to_numpy(zero_copy_only=False)
+        # Pairs of a message (its index in the batch) and a name (its code).
         messages: list[AnyArray] = [np.empty(0, np.int64)]
         codes: list[AnyArray] = [np.empty(0, np.int64)]
         for n, node in enumerate(nodes.dictionary.to_pylist()):
-            members = np.flatnonzero(places == n)
+            members = np.flatnonzero(node_numbers == n)
             members = members[np.argsort(keys[members], kind="stable")]
-            lows, highs, named = self._of_robot(node)
+            lows, highs, range_codes = self._ranges_of(node)
+            # The messages in a time range are ``counts`` consecutive members from ``first`` on.
             first = np.searchsorted(keys[members], lows, "left")
             counts = np.searchsorted(keys[members], highs, "right") - first
             within = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
             messages.append(members[np.repeat(first, counts) + within])
-            codes.append(np.repeat(named, counts))
+            codes.append(np.repeat(range_codes, counts))
         owners, names = np.concatenate(messages), np.concatenate(codes)
-        order = np.lexsort((names, owners))
+        order = np.lexsort((names, owners))  # by message, then by name
         ends = np.cumsum(np.bincount(owners, minlength=count))
         offsets = arrow.array(np.concatenate([np.zeros(1, np.int64), ends]), arrow.int32())
         texts = arrow.array(self._names, arrow.string()).take(arrow.array(names[order]))
         return arrow.ListArray.from_arrays(offsets, texts)
 
-    def _of_robot(self, node: str) -> _Ranges:
+    def _ranges_of(self, node: str) -> _Ranges:
         """Return the time ranges of the events that count for a robot."""
         if node not in self._ranges:
             by_name: dict[str, list[Event]] = {}

@@ -32,7 +32,7 @@ class FrameSource:
     Attributes:
         columns: KEY (receive time), NODE, translation (m) and rotation (a unit quaternion).
         error: Error that ended a read.
-        hints: Why there is no pose: a frame that is in no transform.
+        hints: Why there is no pose, known when all was read: a frame that is in no transform.
     """
 
     def __init__(
@@ -61,7 +61,11 @@ class FrameSource:
         return reader.__arrow_c_stream__()
 
     def _robots(self) -> Sequence[str]:
-        """Return the nodeIDs with transforms."""
+        """Return the nodeIDs with transforms, of those that are asked for.
+
+        Raises:
+            TopicNotFound: No transforms of any robot are stored.
+        """
         robots: set[str] = set()
         for topic in (TF, TF_STATIC):
             if self._catalog.exists(topic):

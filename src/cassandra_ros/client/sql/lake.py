@@ -46,8 +46,11 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 FILE = "messages.parquet"
+"""Name of the file in the folder of a day and robot."""
 LISTING = "_lake.json"
+"""Name of the file in a topic's folder that lists what was written, and from which state."""
 LOCK = "_lake.lock"
+"""Name of the file in the lake's folder that the program which writes it has locked."""
 NO_ROBOT = "-"
 """Name of the robot in the folder of messages without a nodeID: pandas reads no missing one."""
 GROUP_ROWS = 100_000
@@ -131,13 +134,13 @@ class Lake:
             InvalidOption: A file cannot be written, or another program writes the lake.
         """
         report = LakeReport()
-        with self._alone():
+        with self._write_lock():
             for topic in self._timed_topics():
                 self._write_topic(topic, report, progress)
         return report
 
     @contextmanager
-    def _alone(self) -> Iterator[None]:
+    def _write_lock(self) -> Iterator[None]:
         """Keep other programs from writing: two would write into one file."""
         path = self._folder / LOCK
         try:
@@ -161,11 +164,15 @@ class Lake:
                 yield topic
 
     def _write_topic(self, topic: CassandraTopic, report: LakeReport, progress: Progress) -> None:
+        """Write the files of a topic that are not up to date.
+
+        The listing is written after each file: what was listed is complete after a kill, too.
+        """
         source = self._source(topic)
         folder = self._folder / _folder_name(topic.name.lstrip("/"))
         listing = _read_listing(folder)
-        same = hashlib.sha256(source.schema.schema.serialize().to_pybytes()).hexdigest()
-        files = listing["files"] if listing.get("schema") == same else {}
+        schema = hashlib.sha256(source.schema.schema.serialize().to_pybytes()).hexdigest()
+        files = listing["files"] if listing.get("schema") == schema else {}
         for day_part, state in self._parts(source.tables):
             written = files.get(day_part.folder, {})
             path = folder / day_part.folder / FILE
@@ -180,13 +187,16 @@ class Lake:
                 report.messages += count
                 progress(str(path), count)
             if count or files:
-                _write_listing(folder, {"topic": topic.name, "schema": same, "files": files})
+                _write_listing(folder, {"topic": topic.name, "schema": schema, "files": files})
 
     def _source(self, topic: CassandraTopic) -> TopicSource:
         return TopicSource(self._catalog.keyspace, topic, EVERYBODY, None, unwatched)
 
     def _parts(self, tables: Iterable[TopicTable]) -> list[tuple[DayPart, str]]:
-        """Return the parts of a topic, each with the state of its buckets in the directory."""
+        """Return the parts of a topic, each with the state of its buckets in the directory.
+
+        The state is OPEN, or a digest that is another one when messages or runs may have changed.
+        """
         states: dict[DayPart, list[Any]] = {}
         unfinished: set[DayPart] = set()
         for table in tables:
@@ -211,12 +221,15 @@ class Lake:
                     if not finished:
                         unfinished.add(day_part)
         return [
-            (day_part, OPEN if day_part in unfinished else _digest(sorted(rows)))
+            (day_part, OPEN if day_part in unfinished else _json_digest(sorted(rows)))
             for day_part, rows in sorted(states.items())
         ]
 
     def _write_file(self, source: TopicSource, path: Path) -> int:
-        """Write the messages of a part; return their number. Without messages there is no file."""
+        """Write the messages of a part; return their number.
+
+        Without messages nothing is written, and a file that is there stays.
+        """
         schema = source.schema.schema.with_metadata(_metadata(source.topic, source.tables))
         active = path.with_name(f".{path.name}.active")
         count = 0
@@ -238,6 +251,7 @@ class Lake:
         return count
 
     def _groups(self, source: TopicSource, schema: pyarrow.Schema) -> Iterator[pyarrow.Table]:
+        """Yield what a source reads in row groups, in the order in which it is read."""
         batches: list[pyarrow.RecordBatch] = []
         rows = size = 0
         for batch in source.batches():
@@ -255,6 +269,7 @@ class Lake:
 
         Raises:
             MissingDependency: DuckDB is not installed.
+            CorruptMessage: The values of a file cannot be read, although its schema can.
         """
         report = LakeReport()
         for topic in self._timed_topics():
@@ -266,11 +281,11 @@ class Lake:
                 stored: tuple[int, int | None] = (0, None)
                 if name in parts:  # else all its messages were deleted
                     source.pushed = parts[name].pushed
-                    stored = _digest_of(source)
+                    stored = _count_and_digest(source)
                 in_file: tuple[int, int | None] = (0, None)
                 if path.exists():
                     try:
-                        in_file = _digest_of(_FileSource(self._parquet, path))
+                        in_file = _count_and_digest(_FileSource(self._parquet, path))
                     except (self._arrow.ArrowException, OSError) as exc:
                         report.differences.append(f"{path} cannot be read: {exc}")
                         continue
@@ -300,10 +315,10 @@ class _FileSource:
         return arrow.RecordBatchReader.from_batches(schema, batches).__arrow_c_stream__()
 
 
-def _digest_of(source: TopicSource | _FileSource) -> tuple[int, int | None]:
+def _count_and_digest(source: TopicSource | _FileSource) -> tuple[int, int | None]:
     """Return the number of rows of a table, and a digest of them that their order does not change.
 
-    The digest is the sum of the hashes of all rows, by DuckDB.
+    The digest is the sum of the hashes of all rows, by DuckDB; None = there are no rows.
     """
     database = DuckDatabase()
     try:
@@ -325,11 +340,12 @@ def _folder_name(name: str) -> str:
     return folder if first is None else first + folder[1:]
 
 
-def _digest(state: Any) -> str:
+def _json_digest(state: Any) -> str:
     return hashlib.sha256(json.dumps(state).encode()).hexdigest()
 
 
 def _read_listing(folder: Path) -> dict[str, Any]:
+    """Return what was written of a topic: 'files' always, 'schema' if the listing is there."""
     try:
         listing = json.loads((folder / LISTING).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -345,6 +361,7 @@ def _sync(path: Path) -> None:
 
 
 def _write_listing(folder: Path, listing: Mapping[str, Any]) -> None:
+    """Write the listing whole: a kill leaves the old one or the new one."""
     active = folder / f"{LISTING}.active"
     try:
         with open(new_file(active), "w", encoding="utf-8") as file:

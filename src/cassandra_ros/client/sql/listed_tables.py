@@ -53,6 +53,7 @@ def _events(catalog: Catalog) -> Rows:
 
 
 def _constants(catalog: Catalog) -> Rows:
+    """Return the constants of all message types of the topics: whole, as a number, and as text."""
     values_of: dict[tuple[str, str], tuple[int | None, float | None, str]] = {}
     for table in catalog.tables(None):
         specs = {} if table.definition is None else table.definition.specs
@@ -109,15 +110,17 @@ LISTED: Mapping[str, tuple[Mapping[str, str], Callable[[Catalog], Rows]]] = {
         _losses,
     ),
 }
-"""Columns and rows of each table, by name."""
+"""Columns with their types, and the function that makes the rows, by name of the table. The values
+of a row are in the order of the columns."""
 
 
 def listed_source(arrow: Any, catalog: Catalog, name: str) -> ListSource:
-    """Return one of the tables in LISTED."""
+    """Return one of the tables in LISTED; ``arrow`` is the module pyarrow."""
     columns, rows = LISTED[name]
-    others = {_TIME: arrow.timestamp("ns"), "decimal": arrow.decimal128(20, 0)}  # holds uint64
+    # All other types are functions of pyarrow. The decimal holds uint64.
+    special = {_TIME: arrow.timestamp("ns"), "decimal": arrow.decimal128(20, 0)}
     kinds = {
-        column: others[kind] if kind in others else getattr(arrow, kind)()
+        column: special[kind] if kind in special else getattr(arrow, kind)()
         for column, kind in columns.items()
     }
     return ListSource(arrow, arrow.schema(list(kinds.items())), lambda: rows(catalog))

@@ -36,7 +36,7 @@ _LINE = re.compile(r"^LINE (\d+)(?=: )", re.MULTILINE)
 
 
 def advice(reason: str, statement: str) -> str:
-    """Return what to do about an error that DuckDB 2 would not have; '' = it would."""
+    """Return what to do about an error that DuckDB 2 would not have; '' = DuckDB 2 has it, too."""
     both = f"{reason}\n{statement}"
     texts = (text for pattern, text in _ADVICE.items() if re.search(pattern, both, re.DOTALL))
     return next((f" (this Python has DuckDB 1: {text})" for text in texts), "")
@@ -109,6 +109,7 @@ class Select:
         try:
             return self._connection.execute(f"{word}\n{self._text}", self._params).fetchall()
         except optional_module("duckdb", "sql").Error as exc:
+            # Without the line of the word, so that the error points into the statement.
             text = _LINE.sub(lambda line: f"LINE {int(line[1]) - 1}", str(exc))
             raise type(exc)(text) from exc
 

@@ -17,6 +17,7 @@ from cassandra_ros.errors import CassandraRosError
 MAX_FRAME_BYTES = 64 << 20
 """Maximum size of a frame, bytes."""
 HEAD = struct.Struct("<cI")
+"""Head of a frame: its kind, and the length of its content in bytes."""
 
 HELLO = b"H"
 """To the process, first: address and login of the store, and the limits of the process."""
@@ -53,7 +54,10 @@ def json_frame(kind: bytes, values: Mapping[str, object]) -> bytes:
 
 
 def error_values(exc: BaseException) -> dict[str, object]:
-    """Return an error as values of JSON."""
+    """Return an error as values of JSON; ``error_of`` makes it again, with its text alone.
+
+    Of our errors 'error' is the class; '' = another class, whose name begins the text.
+    """
     if isinstance(exc, errors.InvalidQuery):
         return {"error": "InvalidQuery", "args": [exc.statement, exc.position, exc.reason]}
     if isinstance(exc, CassandraRosError) and hasattr(errors, type(exc).__name__):

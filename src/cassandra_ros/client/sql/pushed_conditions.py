@@ -112,18 +112,22 @@ class PushedRead:
 
     @property
     def empty(self) -> bool:
-        """Whether no row can satisfy it."""
+        """Whether no row can satisfy its time range."""
         return self.time_range.low > self.time_range.high
 
 
 def _alternatives(condition: Expression | None) -> tuple[Expression, ...]:
-    """Return what one of must hold: not nested, because a list of IN may have thousands."""
+    """Return the conditions of which one must hold; () = no condition.
+
+    They are not nested, because a list of IN may have thousands.
+    """
     if condition is None:
         return ()
     return condition.items if isinstance(condition, Either) else (condition,)
 
 
 def _common(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset[str] | None:
+    """Return the intersection of two sets; None = all."""
     if one is None or other is None:
         return other if one is None else one
     return one & other
@@ -170,11 +174,18 @@ def _all_of(reads: Sequence[PushedRead]) -> PushedRead:
 
 
 def _any_of(reads: Sequence[PushedRead]) -> PushedRead:
-    """Return what is read if one of at least one holds."""
+    """Return what is read if one of them holds; there must be one."""
     return reduce(PushedRead.either, reads)
 
 
 class _ConditionFinder:
+    """Finds in a statement what bounds the rows of its tables.
+
+    Args:
+        columns: Finds columns, by name of the table.
+        evaluate: Computes constants.
+    """
+
     def __init__(self, columns: Mapping[str, ColumnOf], evaluate: Evaluate) -> None:
         self.exp = optional_module("sqlglot.expressions", "sql")
         self._columns = columns
@@ -235,8 +246,9 @@ class _ConditionFinder:
         return not methods <= {"", "NATURAL"}
 
     def _where_bounds(self, condition: Any, names: _Names) -> PushedRead:
-        parts = (self._read_of(conjunct, names) for conjunct in self._conjuncts(condition))
-        return _all_of([read for read in parts if read is not None])
+        """Return what WHERE bounds of one table."""
+        reads = (self._read_of(conjunct, names) for conjunct in self._conjuncts(condition))
+        return _all_of([read for read in reads if read is not None])
 
     def _comparing_joins(self, select: Any) -> Sequence[Any]:
         """Return the joins of which the right side needs no rows but those that satisfy ON."""
@@ -284,6 +296,7 @@ class _ConditionFinder:
         return aliases
 
     def _conjuncts(self, node: Any) -> Iterator[Any]:
+        """Yield the conditions that AND joins, also in parentheses."""
         node = node.unnest()
         for operand in node.flatten() if isinstance(node, self.exp.And) else ():
             yield from self._conjuncts(operand)
@@ -335,6 +348,7 @@ class _ConditionFinder:
     def _comparison_bounds(
         self, operator: str, side: Any, other: Any, names: _Names
     ) -> PushedRead | None:
+        """Return the bounds of ``side operator other``, a column and a constant; None = none."""
         column = names.column(side)
         if column is None or column.kind == "event":
             return None
@@ -350,10 +364,8 @@ class _ConditionFinder:
         """
         if not self._is_constant(node):
             return None
-        exp, given = (
-            self.exp,
-            {placeholder.name for placeholder in node.find_all(self.exp.Placeholder)},
-        )
+        exp = self.exp
+        given = {placeholder.name for placeholder in node.find_all(exp.Placeholder)}
         # DuckDB takes no parameter that an expression lacks, and numbers without gaps.
         named = node.transform(
             lambda n: exp.Placeholder(this=f"p{n.name}") if isinstance(n, exp.Placeholder) else n
@@ -384,7 +396,15 @@ class _ConditionFinder:
 
 
 class _Names:
-    """The names in the WHERE of one SELECT, and one of its tables."""
+    """The names in one SELECT, and which of them mean columns of one of its tables.
+
+    Args:
+        finder: The finder.
+        alias: Alias of this table in the SELECT.
+        sources: All tables of the SELECT, by alias.
+        scope: The scope of the SELECT: subqueries are sources of it, too.
+        of: The SELECT.
+    """
 
     def __init__(
         self, finder: _ConditionFinder, alias: str, sources: Mapping[str, Any], scope: Any, of: Any
@@ -399,6 +419,7 @@ class _Names:
         # Unqualified names are resolved only where all tables are known.
         self._whole = len(sources) == len(scope.selected_sources) == len(self._columns_of)
         self._whole = self._whole and None not in self._columns_of.values()
+        # A name that SELECT gives may hide a column.
         self._given = {output.alias.lower() for output in of.expressions if output.alias}
 
     def column(self, node: Any) -> ComparableColumn | None:
@@ -412,12 +433,13 @@ class _Names:
         if len(chain) > 1 and chain[0].lower() == self._alias:
             return find_own(chain[1:])
         aliases = {name for name, find in self._columns_of.items() if find and find(chain[:1])}
-        wide = chain[0].lower() in self._given or chain[0].lower() in self._others
-        if wide or not self._whole or aliases - {self._alias}:
+        is_other = chain[0].lower() in self._given or chain[0].lower() in self._others
+        if is_other or not self._whole or aliases - {self._alias}:
             return None
         return find_own(chain)
 
     def _chain(self, node: Any) -> list[str]:
+        """Return the names of a dotted name, from the left; [] = it is another expression."""
         exp, names = self._exp, []
         while isinstance(node, exp.Dot) and isinstance(node.expression, exp.Identifier):
             names.append(node.expression.name)
@@ -446,6 +468,7 @@ def _implied_bounds(
 
 
 def _bounds(column: ComparableColumn, operator: str, value: Any) -> PushedRead | None:
+    """Return the bounds of ``column operator value``; None = it bounds nothing."""
     if column.kind == "key":
         return _time_bounds(operator, value)
     if column.kind in ("node", "run"):
@@ -457,6 +480,7 @@ def _bounds(column: ComparableColumn, operator: str, value: Any) -> PushedRead |
 
 
 def _time_bounds(operator: str, ns: int) -> PushedRead:
+    """Return the bounds of ``KEY operator ns``; a time before 1970 may leave an empty range."""
     low, high = max(0, ns - WIDER_NS), min(LAST_NS, ns + WIDER_NS)
     return PushedRead(
         TimeRange(
@@ -520,6 +544,7 @@ _CONDITIONS: Mapping[str, Callable[[ComparableColumn, str, Any], PushedRead | No
 
 
 def _between(column: ComparableColumn, operator: str, low: Any, high: Any) -> PushedRead:
+    """Return the bounds of ``column operator value``, where low <= value <= high."""
     path = _path(column)
     bounds: list[Expression] = []
     if operator not in _BELOW:

@@ -14,6 +14,7 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Stamp, length_from_ns
 
 _LONGEST = timedelta(seconds=2**31)
+"""Length from which an interval is no duration of ROS."""
 
 
 def python_rows(arrow: Any, batch: Any) -> list[tuple[Any, ...]]:
@@ -27,6 +28,7 @@ def python_rows(arrow: Any, batch: Any) -> list[tuple[Any, ...]]:
 
 
 def _values(arrow: Any, array: Any) -> Sequence[Any]:
+    """Return the values of an array, see python_rows; None for NULL."""
     types, kind = arrow.types, array.type
     if types.is_dictionary(kind):
         return _values(arrow, array.dictionary_decode())
@@ -60,6 +62,7 @@ def _time(ns: int | None) -> Any:
 
 
 def _number(value: Decimal | None) -> Any:
+    """Return a decimal without a fraction's digits, as that of a sum of integers, as an int."""
     if value is None:
         return None
     return int(value) if value.as_tuple().exponent == 0 else value

@@ -33,7 +33,8 @@ _PLAIN_NAME = re.compile(r"[A-Za-z_]\w*")
 _TABLE = re.compile(
     r"\b(?:from|join)\s+(\"(?:[^\"]|\"\")+\"|\w+)(?:\s+(?:as\s+)?(?=(\w+)))?", re.IGNORECASE
 )
-_PLACE = re.compile(r"\b(?:from|join)\s+$", re.IGNORECASE)
+_TABLE_DUE = re.compile(r"\b(?:from|join)\s+$", re.IGNORECASE)
+"""What stands before a word that is the name of a table."""
 _MOST_SPACE = 64
 """Maximum number of characters before the word in which FROM or JOIN is looked for."""
 _MOST_SEARCHED = 8 * 1024
@@ -55,11 +56,11 @@ def complete_sql(
     cursor = max(0, min(cursor, len(text), MAX_STATEMENT_CHARACTERS))
     before = text[:cursor]
     quoted = before.count('"') % 2 == 1
-    if before.count("'") % 2:
+    if before.count("'") % 2:  # in a text
         return Offers(cursor, ())
     word = _WORD_BACKWARDS.match(before[::-1])
     start = before.rindex('"') if quoted else cursor - (0 if word is None else word.end())
-    if _PLACE.search(before[max(0, start - _MOST_SPACE) : start]):
+    if _TABLE_DUE.search(before[max(0, start - _MOST_SPACE) : start]):
         offers = list(_tables(topics))
     elif quoted:
         return Offers(start, ())
@@ -68,8 +69,8 @@ def complete_sql(
     typed = before[start:].strip('"').lower()
     fitting = [offer for offer in offers if _fits(offer, typed)]
     fitting.sort(key=lambda offer: not offer.text.lower().strip('"/').startswith(typed.strip("/")))
-    alone = len(fitting) == 1 and fitting[0].text == before[start:]
-    return Offers.first(start, () if alone else fitting)
+    is_complete = len(fitting) == 1 and fitting[0].text == before[start:]
+    return Offers.first(start, () if is_complete else fitting)
 
 
 def table_text(topic: str) -> str:
@@ -80,6 +81,7 @@ def table_text(topic: str) -> str:
 
 
 def _fits(offer: Offer, typed: str) -> bool:
+    """Return whether an offer begins with what is typed; names may also contain it."""
     text = offer.text.lower()
     return text.startswith(typed) if offer.kind in ("keyword", "function") else typed in text
 
@@ -111,6 +113,7 @@ def _columns(text: str, definitions: DefinitionsOf) -> Iterator[Offer]:
 
 
 def _columns_of(table: str, definitions: DefinitionsOf) -> Iterator[tuple[str, str]]:
+    """Yield name and type of the columns of a table, and of the fields in them, as dotted names."""
     if table.lower() in LISTED:
         yield from LISTED[table.lower()][0].items()
         return
@@ -125,6 +128,7 @@ def _columns_of(table: str, definitions: DefinitionsOf) -> Iterator[tuple[str, s
 
 
 def _leaves(fields: Sequence[ArrowField], prefix: str) -> Iterator[tuple[str, str]]:
+    """Yield dotted name and ROS type of fields, and of the fields in them, but not in arrays."""
     for child in fields:
         yield prefix + child.name, child.field.type + "[]" * child.field.is_array
         if not child.field.is_array:

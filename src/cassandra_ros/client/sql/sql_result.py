@@ -109,7 +109,7 @@ class SqlResult:
         run = self._bind_run()
         self._ready: _Run | None = run
         """The run that checked the statement, for the first method that is called."""
-        weakref.finalize(self, run.close)
+        weakref.finalize(self, run.close)  # if no method is called
         self.columns: tuple[str, ...] = tuple(run.relation.columns)
         self.hints: list[str] = []
         """Why no message was found by what ran last: names and frames that are not stored."""
@@ -190,6 +190,7 @@ class SqlResult:
 
     @contextmanager
     def _open_run(self) -> Iterator[_Run]:
+        """Yield the run that checked the statement, or a new one; close it after the block."""
         run, self._ready = self._ready or self._bind_run(), None
         try:
             yield run
@@ -199,6 +200,7 @@ class SqlResult:
             run.close()
 
     def _bind_run(self) -> _Run:
+        """Return a new run whose statement was checked."""
         run = _Run(self._catalog, self._statement, self._whose, self._make_database(), self._watch)
         try:
             run.bind(self._pushdown)
@@ -209,13 +211,20 @@ class SqlResult:
 
 
 def _value_text(value: object) -> str:
-    return iso_time(to_ns(value)) if is_time(value) else "NULL" if value is None else str(value)
+    if is_time(value):
+        return iso_time(to_ns(value))
+    return "NULL" if value is None else str(value)
 
 
 class _Run:
-    """One execution of a statement, in a database of its own.
+    """One execution of a statement, in a database of its own. Close it.
 
-    DuckDB works on another thread, so that Ctrl-C and the watch of the caller reach it.
+    DuckDB works on another thread, so that Ctrl-C and the watch of the caller reach it: the watch
+    runs on the caller's thread, ``_look`` on DuckDB's.
+
+    Attributes:
+        sources: What DuckDB scans, by name of the table.
+        relation: The checked statement, which runs when it is asked for rows.
     """
 
     def __init__(
@@ -261,7 +270,17 @@ class _Run:
             self.relation = self._database.select(statement.text, statement.params)
 
     def _find_tables(self, needed: Wanted | None, pushdown: bool) -> None:
+        """Make the sources of the tables that the statement names.
+
+        Args:
+            needed: The columns that it may read; None = all.
+            pushdown: Whether only these are read.
+
+        Raises:
+            InvalidQuery: A table is no topic, or differs from another one by case only.
+        """
         own_tables = self._statement.own_tables()
+        # A column EVENT costs time. Where all columns are read it is there if any event is stored.
         events = names_column(self._statement.tree, EVENT.lower())
         if needed is None and not events:
             events = next(self._catalog.keyspace.events.find(), None) is not None
@@ -322,6 +341,7 @@ class _Run:
             raise InvalidQuery(self._statement.text, table.position, str(exc)) from exc
 
     def _push(self) -> None:
+        """Tell each source what WHERE bounds of it; all tables must be known to DuckDB."""
         topics = {n: s for n, s in self.sources.items() if isinstance(s, TopicSource)}
         columns = {n: TableColumns(s.tables, s.has_events).find for n, s in topics.items()}
         params = self._statement.params
@@ -339,6 +359,7 @@ class _Run:
             source.pushed = reads.get(name, UNBOUNDED_READ)
 
     def _look(self) -> None:
+        """End a read of a source, which DuckDB's thread does, if the run is being closed."""
         if self._stopped:
             raise InterruptedError("the statement was stopped")
 
@@ -382,6 +403,7 @@ class _Run:
         return self._invalid(text)
 
     def _invalid(self, text: str) -> InvalidQuery:
+        """Return an error of the statement, from the text of DuckDB's."""
         reason, statement = _first_line(text), self._statement
         named = [name.replace('""', '"') for name in _QUOTED.findall(reason)]
         for name in named:
@@ -470,7 +492,7 @@ def _width(c: str) -> int:
 
 
 def needed_columns(tree: Any) -> Wanted | None:
-    """Return the columns that a statement may read; None = all.
+    """Return the columns that a statement of sqlglot may read, of any of its tables; None = all.
 
     KEY is always among them, because a table has at least one column.
     """
@@ -495,6 +517,7 @@ def names_column(tree: Any, name: str) -> bool:
 
 
 def _reads_all(exp: Any, tree: Any) -> bool:
+    """Return whether a statement may read columns that it does not name."""
     by_number = getattr(exp, "PositionalColumn", exp.Columns)  # sqlglot for Python 3.8 lacks it
     if tree.find(exp.Columns, exp.Pivot, by_number) is not None:
         return True

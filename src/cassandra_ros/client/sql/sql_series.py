@@ -32,11 +32,13 @@ class SqlSeries(NamedTuple):
     points: Points
 
 
-class _Place(NamedTuple):
-    """A column of numbers: the index of a column, and of a field in each struct on the way."""
+class _NumberColumn(NamedTuple):
+    """A column of numbers, or a field of numbers in a column."""
 
     name: str
+    """Its dotted name."""
     steps: tuple[int, ...]
+    """Index of the column, and of a field in each struct on the way."""
 
 
 def time_column(schema: Any) -> int | None:
@@ -77,6 +79,8 @@ def read_sql_series(
 
 
 class _SeriesReader:
+    """Adds up batches of one schema; the arguments are those of read_sql_series."""
+
     def __init__(self, schema: Any, low: int | None, high: int | None, pixels: int) -> None:
         self._arrow = load_arrow("sql")
         self._low = 0 if low is None else low
@@ -84,15 +88,15 @@ class _SeriesReader:
         self._pixels = pixels
         self._time = time_column(schema)
         self._left_out: list[tuple[str, str]] = []
-        self._places = list(self._numbers(schema))
+        self._columns = list(self._numbers(schema))
         self._grid = Grid(0, 0, 1)
         self._ends: tuple[int, int] | None = None
         """First and last time of the rows so far, ns."""
-        self._envelope = Envelope(self._grid, len(self._places))
+        self._envelope = Envelope(self._grid, len(self._columns))
         if low is not None and high is not None:
             self._widen(low, high)
 
-    def _numbers(self, schema: Any) -> Iterator[_Place]:
+    def _numbers(self, schema: Any) -> Iterator[_NumberColumn]:
         """Yield the columns that are drawn, and note the others."""
         count = 0
         for name, steps, kind in _leaves(schema, "", ()):
@@ -107,7 +111,7 @@ class _SeriesReader:
                 self._left_out.append((name, reason))
             else:
                 count += 1
-                yield _Place(name, steps)
+                yield _NumberColumn(name, steps)
 
     def _reason(self, kind: Any) -> str:
         """Return the reason for which a column cannot be drawn; '' = it can."""
@@ -121,7 +125,7 @@ class _SeriesReader:
 
     def add(self, batch: Any) -> None:
         """Add the rows of a batch."""
-        if self._time is None or not self._places:
+        if self._time is None or not self._columns:
             return
         times = times_of(batch.column(self._time))
         chosen = np.flatnonzero((times >= self._low) & (times <= self._high) & (times >= 0))
@@ -129,7 +133,7 @@ class _SeriesReader:
             return
         times = times[chosen]
         self._widen(int(times.min()), int(times.max()))
-        values = [self._floats(batch, place.steps)[chosen] for place in self._places]
+        values = [self._floats(batch, column.steps)[chosen] for column in self._columns]
         self._envelope.add(times, np.array(values))
 
     def _widen(self, low: int, high: int) -> None:
@@ -153,17 +157,23 @@ class _SeriesReader:
 
     def series(self) -> SqlSeries:
         """Return the numbers of the rows that were added."""
-        names = tuple(place.name for place in self._places)
+        names = tuple(column.name for column in self._columns)
         return SqlSeries(names, tuple(self._left_out), self._grid, self._envelope.points())
 
 
 def _leaves(
     fields: Any, prefix: str, steps: tuple[int, ...]
 ) -> Iterator[tuple[str, tuple[int, ...], Any]]:
-    """Yield name, place and type of each column, and of each field in a struct."""
+    """Yield dotted name, steps and type of each column that is no struct, and of fields in structs.
+
+    Args:
+        fields: The columns, or the fields of a struct.
+        prefix: What their names begin with.
+        steps: Indexes that lead to them, see _NumberColumn.
+    """
     for n, field in enumerate(fields):
-        name, place = prefix + field.name, (*steps, n)
+        name, field_steps = prefix + field.name, (*steps, n)
         if str(field.type).startswith("struct<"):
-            yield from _leaves(list(field.type), name + ".", place)
+            yield from _leaves(list(field.type), name + ".", field_steps)
         else:
-            yield name, place, field.type
+            yield name, field_steps, field.type

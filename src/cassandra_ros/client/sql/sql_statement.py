@@ -102,9 +102,11 @@ class SqlStatement:
         except glot.errors.TokenError as exc:
             raise InvalidQuery(text, len(text.rstrip()), f"a text is not closed: {exc}") from exc
         number = sum(token.token_type == kinds.PLACEHOLDER for token in tokens)
-        following = [*(token.token_type for token in tokens[1:]), None]
-        before = ["", *(token.text.lower() * (token.token_type == kinds.VAR) for token in tokens)]
-        for token, after, word in reversed(list(zip(tokens, following, before))):
+        next_kinds = [*(token.token_type for token in tokens[1:]), None]
+        # The name before each token; '' = there is something else.
+        words = ["", *(token.text.lower() * (token.token_type == kinds.VAR) for token in tokens)]
+        # From the end, so that the positions of the tokens before stay what they are.
+        for token, after, word in reversed(list(zip(tokens, next_kinds, words))):
             if token.token_type == kinds.PLACEHOLDER:
                 changed, number = f"${number}", number - 1
             elif token.token_type == kinds.MAP and after not in (kinds.L_PAREN, kinds.L_BRACE):
@@ -117,6 +119,7 @@ class SqlStatement:
         return text
 
     def _parse_tree(self) -> Any:
+        """Return the tree of the text; its intervals are marked UNSURE if one is not simple."""
         glot = self._glot
         try:
             trees = [tree for tree in glot.parse(self.text, read="duckdb") if tree is not None]
@@ -148,12 +151,19 @@ class SqlStatement:
         )
 
     def _spot(self, line: int, column: int, error: Mapping[str, Any]) -> int:
-        """Return the index of the character that a line and column mean."""
+        """Return the index of the first character that an error of sqlglot means.
+
+        Args:
+            line: Number of the line, from 1.
+            column: Column of its last character, from 1.
+            error: The error, which has the characters as 'highlight'.
+        """
         before = self.text.split("\n")[: line - 1]
         end = sum(len(earlier_line) + 1 for earlier_line in before) + column
         return max(0, min(end, len(self.text)) - len(error.get("highlight") or " "))
 
     def _check(self) -> None:
+        """Refuse what does more than read tables of ours; raises InvalidQuery."""
         exp = self._glot.exp
         if not isinstance(self.tree, (exp.Query, exp.Pivot)):
             raise InvalidQuery(self.text, 0, _READ_ONLY)
@@ -179,7 +189,7 @@ class SqlStatement:
         micro = {kinds.TIMESTAMP, kinds.TIMESTAMPNTZ, kinds.TIMESTAMPTZ, kinds.TIMESTAMPLTZ}
         zoned = {kinds.TIMESTAMPTZ, kinds.TIMESTAMPLTZ}
         for node in self.tree.find_all(exp.Literal, exp.Placeholder, exp.Parameter):
-            text, within = self._text(node), node.parent
+            text, within = self._constant_text(node), node.parent
             time = _ZONED_TIME.fullmatch(text.strip())
             if time is None:
                 continue
@@ -195,7 +205,7 @@ class SqlStatement:
                 reason = f"DuckDB ignores the zone of {text}: write it in UTC, as '…Z'"
                 raise InvalidQuery(self.text, max(0, self.text.find(text)), reason)
 
-    def _text(self, node: Any) -> str:
+    def _constant_text(self, node: Any) -> str:
         """Return the text of a literal or of a parameter; '' = it is another expression."""
         if isinstance(node, self._glot.exp.Literal):
             return str(node.this) if node.is_string else ""
@@ -207,6 +217,7 @@ class SqlStatement:
         return value if isinstance(value, str) else ""
 
     def _check_function(self, function: Any) -> None:
+        """Refuse a function in FROM that could read something else than topics."""
         anonymous = isinstance(function, self._glot.exp.Anonymous)
         name = function.name if anonymous else function.sql_name()
         if name.lower() not in TABLE_FUNCTIONS:
@@ -263,12 +274,14 @@ def _start(identifier: Any) -> int:
 
 
 def _params(text: str, params: Params) -> Any:
+    """Return the parameters as DuckDB takes them, in a dict or a list; ``text`` is for errors."""
     if isinstance(params, Mapping):
         return {str(name): _param(text, value) for name, value in params.items()}
     return [_param(text, value) for value in params]
 
 
 def _param(text: str, given: Any) -> Any:
+    """Return a parameter as DuckDB takes it; raises InvalidQuery for an interval of single ns."""
     value = plain_value(given)
     if is_time(value) and not isinstance(value, (int, float, str)):
         return optional_module("duckdb", "sql").Value(ns_text(to_ns(value)), "TIMESTAMP_NS")

@@ -63,7 +63,7 @@ _NICE = 10
 they get a tenth of it. With the lowest, 19, they would get a seventieth, and a robot whose
 processors are all busy would answer none in time."""
 _TRIES = 20
-"""Maximum number of tries to give it to the session, each 0.1 s after the one before."""
+"""Maximum number of tries to give the session this priority, each 0.1 s after the one before."""
 _log = logging.getLogger(__name__)
 
 
@@ -73,15 +73,17 @@ class _Stopped(Exception):
 
 @dataclass
 class _Mail:
-    """What the thread that reads standard input has read."""
+    """What the thread that reads standard input has read. The main thread takes it."""
 
     stopped: threading.Event = field(default_factory=threading.Event)
+    """Set by STOP, and by the end of the input. The next statement clears it: the program asks for
+    one only when the answer before has ended."""
     requests: queue.SimpleQueue[dict[str, Any] | None] = field(default_factory=queue.SimpleQueue)
     """Statements; None = the input has ended."""
 
 
 def read_frame(file: BinaryIO) -> tuple[bytes, bytes] | None:
-    """Read a frame; None = the end."""
+    """Read a frame, its kind and content; None = the end."""
     head = file.read(HEAD.size)
     if len(head) < HEAD.size:
         return None
@@ -90,6 +92,7 @@ def read_frame(file: BinaryIO) -> tuple[bytes, bytes] | None:
 
 
 def _read_mail(file: BinaryIO, mail: _Mail) -> None:
+    """Read frames until the input ends, on a thread; then the process has _END_SEC left."""
     while (received := read_frame(file)) is not None:
         kind, content = received
         if kind == ASK:
@@ -104,11 +107,11 @@ def _read_mail(file: BinaryIO, mail: _Mail) -> None:
     ending.start()
 
 
-class _Answering:
-    """Answers statements, one after the other.
+class _Answerer:
+    """Answers statements, one after the other, all on the main thread.
 
     Args:
-        hello: What the program said first.
+        hello: What the program said first, see HELLO.
         out: Takes the frames.
         mail: What the program says later.
     """
@@ -157,6 +160,7 @@ class _Answering:
         return True
 
     def _frames(self, request: dict[str, Any]) -> Iterator[bytes]:
+        """Yield the frames of the answer to a statement, see ``Statement`` and ``_values``."""
         writers = request["writers"]
         whose = Whose(
             None if request["nodes"] is None else tuple(request["nodes"]),
@@ -187,6 +191,7 @@ class _Answering:
         return self._catalogs[keyspace]
 
     def _look(self) -> None:
+        """Raise an error if the program has stopped the statement, or its disk is nearly full."""
         if self._mail.stopped.is_set():
             raise _Stopped
         if self._free_bytes() < KEPT_BYTES and has_files(self._folder):
@@ -232,6 +237,7 @@ def has_files(folder: str) -> bool:
 
 
 def _limit(most: int, what: int) -> None:
+    """Set a limit of this process, one of RLIMIT_…, to ``most`` or to the hard limit below it."""
     _, hard = resource.getrlimit(what)
     resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
@@ -275,12 +281,12 @@ def main() -> int:
         optional_module("duckdb", "sql")
     _limit(0, resource.RLIMIT_CORE)
     _limit(SPILL_BYTES, resource.RLIMIT_FSIZE)
-    answering = _Answering(json.loads(hello[1]), out, mail)
+    answerer = _Answerer(json.loads(hello[1]), out, mail)
     _yield_processor()  # not before: the start counts in the time of the first statement
     while (request := mail.requests.get()) is not None:
-        if not answering.answer(request):
+        if not answerer.answer(request):
             break
-    answering.close()
+    answerer.close()
     return 0
 
 

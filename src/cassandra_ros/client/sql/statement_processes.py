@@ -73,16 +73,20 @@ class _Ended(Exception):
 
 
 class _Process:
-    """One process; it runs one statement at a time.
+    """One process; it runs one statement at a time. One thread uses it at a time. Close it.
 
     Args:
         store: Arguments with which it connects to the store.
+
+    Raises:
+        OSError: No process, or no folder for it, can be made.
     """
 
     def __init__(self, store: dict[str, Any]) -> None:
         self.is_free = True
         """Whether it has given its last answer whole, and takes another statement."""
         self._received = bytearray()
+        """What was read of its output and is in no frame yet."""
         self._folder = SpillFolder()
         # In the terminal's group it would get the program's Ctrl-C.
         self._process = subprocess.Popen(
@@ -102,7 +106,7 @@ class _Process:
             self.send(json_frame(HELLO, {"store": store, "folder": self._folder.path}))
 
     def send(self, content: bytes) -> None:
-        """Send a frame."""
+        """Send a frame; raises OSError if the process has ended."""
         self._input.write(content)
         self._input.flush()
 
@@ -124,7 +128,7 @@ class _Process:
             yield kind, content
 
     def _await(self, size: int, watch: Watch) -> None:
-        """Read until so many bytes are there."""
+        """Read until ``size`` bytes are there; raises _Ended, or what the watch raises."""
         while len(self._received) < size:
             watch()
             if self._poll.poll(1000 * _LOOK_SEC):
@@ -163,8 +167,11 @@ class _Process:
         """Whether the process has not ended."""
         return self._process.poll() is None
 
-    def status(self) -> int:
-        """End the process if it has not ended; return its exit status, -N = signal N ended it."""
+    def end(self) -> int:
+        """Wait a moment for the end of the process, kill it then, and return its exit status.
+
+        -N = signal N ended it.
+        """
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_STOP_SEC)
         self._process.kill()
@@ -182,7 +189,10 @@ class _Process:
 
 
 class SqlAnswer:
-    """The answer of a process to a statement.
+    """The answer of a process to a statement. It can be read once, while its context is open.
+
+    Args:
+        frames: The frames of the answer; the first one is COLUMNS.
 
     Attributes:
         columns: Names of the columns.
@@ -211,7 +221,7 @@ class SqlAnswer:
             yield from python_rows(load_arrow("sql"), batch)
 
     def explanation(self) -> str:
-        """Wait for the explanation."""
+        """Wait for the explanation, and return it."""
         for kind, content in self._frames:
             self._take(kind, content)
         return self.plan
@@ -253,7 +263,8 @@ class StatementProcesses:
         Raises:
             InvalidQuery: The statement is wrong, or it ended its process.
             AnswerTooLarge: It needs more time, memory or room on disk than it may use.
-            StoreUnavailable: No process can be started, or the program ends.
+            StoreUnavailable: The process has ended by itself, or the program ends.
+            OSError: No process can be started.
         """
         watch = _watch_with_limit(watch, min(seconds, STATEMENT_SEC))
         while not self._turns.acquire(timeout=_LOOK_SEC):
@@ -277,7 +288,7 @@ class StatementProcesses:
                     raise error_of(json.loads(content))
                 yield kind, content
         except (_Ended, OSError) as exc:
-            raise _crash(statement.text, process.status()) from exc
+            raise _crash(statement.text, process.end()) from exc
 
     def _take(self) -> _Process:
         """Return an idle process, or a new one."""
@@ -292,7 +303,10 @@ class StatementProcesses:
         return _Process(self._store)
 
     def _put(self, process: _Process) -> None:
-        """Keep a process for the next statement, or a new one in its place."""
+        """Keep a process for the next statement, or start another one in its place.
+
+        It starts now, so that the next statement does not wait for that.
+        """
         if not process.is_free and process.is_running:
             process.stop()
         if not process.is_free:
@@ -312,6 +326,7 @@ class StatementProcesses:
 
 
 def _values(statement: Statement) -> dict[str, object]:
+    """Return a statement as values of JSON: its fields, but ``nodes`` and ``writers`` of whose."""
     nodes, writers = statement.whose
     values: dict[str, object] = statement._asdict()
     del values["whose"]
@@ -334,6 +349,7 @@ def _watch_with_limit(watch: Watch, seconds: float) -> Watch:
 
 
 def _crash(text: str, status: int) -> CassandraRosError:
+    """Return the error of a process that ended with an exit status while it ran a statement."""
     if status >= 0:
         return StoreUnavailable(
             f"the process for this statement ended (exit status {status}): the standard error of "

@@ -13,6 +13,7 @@ from cassandra_ros.query.arrays.arrow_types import ArrowField
 from cassandra_ros.query.protocols import Table
 
 _OWN = {"key": "key", "node": "node", "run": "run"}
+"""Column that each message has, in lower case -> kind of ComparableColumn."""
 
 
 class TableColumns:
@@ -35,7 +36,14 @@ class TableColumns:
         self._fields = list(arrow_schema.fields.values())
 
     def find(self, names: Sequence[str]) -> ComparableColumn | None:
-        """Return a column, or a field in a message; None = no such column, or it is an array."""
+        """Return a column, or a field in a message; None = no such column, or no simple one.
+
+        No condition compares with an array or a struct, or with a field that has different paths in
+        the definitions of the topic.
+
+        Args:
+            names: Name of the column, and of a field in each struct on the way, in any case.
+        """
         own_kind = self._own.get(names[0].lower()) if len(names) == 1 else None
         if own_kind is not None:
             return ComparableColumn("text" if self._named and own_kind == "key" else own_kind)
@@ -48,6 +56,7 @@ class TableColumns:
         return ComparableColumn(kind, paths.pop() or "")
 
     def _kind(self, names: Sequence[str]) -> str | None:
+        """Return the kind of a column by its type in Arrow; None = missing, or not comparable."""
         fields: Any = self.schema
         kind = None
         for name in names:

@@ -47,11 +47,12 @@ class TopicSource:
 
     Attributes:
         topic: The topic.
+        tables: Tables of the topic when the source was made.
         schema: The columns that are made of messages.
         columns: Names and Arrow types of the columns.
         has_events: Whether EVENT is one of them.
         pushed: What is read; the caller sets it when the statement is known.
-        messages: Number of messages read so far.
+        messages: Number of messages read so far, in all scans together.
         choosers: What the server checked, one for each scan.
         error: Error that ended a read; DuckDB only knows its text.
         hints: Why no message is found: names that are not stored.
@@ -101,8 +102,8 @@ class TopicSource:
         if pushed.nodes is not None:
             whose = whose.both(Whose(tuple(sorted(pushed.nodes))))
         if pushed.runs is not None:
-            called = map(self._keyspace.runs.called, pushed.runs)
-            whose = whose.both(Whose(None, frozenset().union(*called)))
+            writers = map(self._keyspace.runs.called, pushed.runs)
+            whose = whose.both(Whose(None, frozenset().union(*writers)))
         if pushed.empty or whose.empty:
             return None
         # The keys of messages with names are not times.
@@ -122,7 +123,7 @@ class TopicSource:
             raise
 
     def _unknown_names(self) -> Iterator[str]:
-        """Yield for each name that bounds what is read whether it is unknown; '' = it is not."""
+        """Yield for each name that bounds what is read a text if nothing has it, else ''."""
         pushed, runs = self.pushed, self._keyspace.runs
         yield from map(runs.unknown_robot, sorted(pushed.nodes or ()))
         yield from map(runs.unknown, sorted(pushed.runs or ()))
@@ -177,8 +178,13 @@ class ListSource:
     """A table of a few rows, such as the runs, made when it is read.
 
     Args:
+        arrow: The module pyarrow.
         schema: Names and Arrow types of its columns.
-        rows: Returns its rows.
+        rows: Returns its rows; called for each scan.
+
+    Attributes:
+        columns: The schema.
+        error: Error that ended a read; DuckDB only knows its text.
     """
 
     error: BaseException | None = None
@@ -246,7 +252,7 @@ class ConditionChooser:
         return self.pushdown.few(table)
 
     def learn(self, table: Table, bucket: Sequence[Any], rows: int) -> None:
-        """Record the rows found in a bucket."""
+        """Record the number of rows found in a bucket."""
         self.pushdown.learn(table, bucket, rows)
 
     def sift(self, table: Table) -> Sift | None:
@@ -266,6 +272,7 @@ class ConditionChooser:
         by_head = all(path in finder.head for path in paths)
 
         def sift_but_nan(block: UnpackedMessages) -> Sifted:
+            """Keep also messages with a NaN in one of the fields; ``sift`` makes each mask anew."""
             mask, _ = sift(block)
             if mask is None:
                 return Sifted(None, None)

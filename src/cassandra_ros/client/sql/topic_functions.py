@@ -61,7 +61,12 @@ def table_names(table: Any) -> Sequence[str]:
 
 
 def wrong_calls(parser: Any, tree: Any) -> Iterator[str]:
-    """Yield the name of each function of ours in a statement with other arguments than in USAGE."""
+    """Yield the name of each function of ours that a statement calls otherwise than USAGE says.
+
+    Args:
+        parser: The module sqlglot.
+        tree: The statement, whose calls of rate have RATE_COLUMNS already.
+    """
     exp = parser.exp
     if any(a.name.lower() == "rate" and a.columns for a in tree.find_all(exp.TableAlias)):
         yield "rate"
