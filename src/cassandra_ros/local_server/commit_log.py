@@ -20,14 +20,14 @@ _NAME = re.compile(r"CommitLog-\d+-(\d+)\.log\Z")
 _HEADER = struct.Struct(">iqH")  # version, id, length of the parameters; then these and a CRC
 _CRC_BYTES = 4
 _MARKER = struct.Struct(">II")  # position of the next section, CRC
-_PLACE = struct.Struct(">IIi")  # lower and upper half of the id, position
+_CRC_INPUT = struct.Struct(">IIi")  # lower and upper half of the id, position
 
 
 def cut_torn_end(folder: Path) -> str:
     """Cut off a section that was not written whole; return a note about that, or ''.
 
     Only the last section of the whole log is cut off: one with another after it was written whole
-    once, and Cassandra tells what happened to it.
+    once, and Cassandra tells what happened to it. No server may be using the folder.
 
     Raises:
         OSError: A file cannot be read or written.
@@ -52,7 +52,10 @@ def cut_torn_end(folder: Path) -> str:
 
 
 def _sections(segment: BinaryIO, size: int) -> list[tuple[int, int]]:
-    """Return the positions at which the sections of a segment begin, and those of the next ones."""
+    """Return for each section of a segment its position, and that of the next one.
+
+    The last one may be after the end of the file. A segment that was made in advance has none.
+    """
     head = segment.read(_HEADER.size)
     if len(head) < _HEADER.size:
         return []
@@ -62,8 +65,8 @@ def _sections(segment: BinaryIO, size: int) -> list[tuple[int, int]]:
     while position + _MARKER.size <= size:
         segment.seek(position)
         end, crc = _MARKER.unpack(segment.read(_MARKER.size))
-        place = _PLACE.pack(number & 0xFFFFFFFF, number >> 32, position)
-        if crc != zlib.crc32(place) or end <= position:
+        crc_input = _CRC_INPUT.pack(number & 0xFFFFFFFF, number >> 32, position)
+        if crc != zlib.crc32(crc_input) or end <= position:
             break
         sections.append((position, end))
         position = end

@@ -14,6 +14,7 @@ import ssl
 import struct
 
 _HEADER = struct.Struct(">BBhBi")
+"""Head of a frame: version, flags, stream, opcode, length of the body."""
 _VERSION = 4
 _ERROR, _STARTUP, _READY, _AUTHENTICATE, _OPTIONS, _SUPPORTED = 0, 1, 2, 3, 5, 6
 _QUERY, _RESULT, _PREPARE, _AUTH_RESPONSE, _AUTH_SUCCESS = 7, 8, 9, 15, 16
@@ -22,6 +23,7 @@ _CONSISTENCY_ONE = 1
 _MAX_FRAME = 1 << 28
 """Maximum size of an answer, as in Cassandra, bytes."""
 _STATEMENT_SEC = 30.0
+"""Maximum time between two parts of an answer, s."""
 
 
 class CqlRefused(OSError):
@@ -31,9 +33,17 @@ class CqlRefused(OSError):
 class CqlSession:
     """A connection that is logged in; also a context manager that closes it.
 
+    Args:
+        host, port: Address of the server.
+        context: TLS; None = without TLS.
+        login: User name and password; None = the server must not require a login.
+        timeout_sec: Maximum time of the connection, and between two parts of an answer, s.
+
     Raises:
         OSError: No server answers, or the answer is not CQL.
         CqlRefused: The server refuses the login.
+        struct.error: The connection was closed within the head of an answer; run and check raise
+            the same errors.
     """
 
     def __init__(
@@ -58,7 +68,7 @@ class CqlSession:
             raise
 
     def run(self, statement: str) -> bytes:
-        """Run a statement; return the body of the answer."""
+        """Run a statement at consistency ONE; return the body of the answer."""
         text = statement.encode()
         body = struct.pack(">i", len(text)) + text + struct.pack(">HB", _CONSISTENCY_ONE, 0)
         return _call(self._connection, _QUERY, body, _RESULT)
@@ -188,5 +198,5 @@ def _exchange(connection: socket.socket, opcode: int, body: bytes) -> tuple[int,
     if len(data) < length:
         raise OSError("the connection was closed")
     if answer == _ERROR:
-        raise CqlRefused(data[6:].decode("utf-8", "replace"))
+        raise CqlRefused(data[6:].decode("utf-8", "replace"))  # after a code and a length
     return answer, data

@@ -12,9 +12,9 @@ from pathlib import Path
 import psutil
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server.cluster_settings import ClusterSettings, load_settings
+from cassandra_ros.local_server.cluster_settings import load_settings
 from cassandra_ros.local_server.jars import default_directory
-from cassandra_ros.local_server.nodes import Node
+from cassandra_ros.local_server.nodes import Node, nodes_of
 from cassandra_ros.local_server.preflight import log_since, log_size
 from cassandra_ros.local_server.processes import (
     command_line,
@@ -53,31 +53,33 @@ def local_directory(host: str, port: int) -> Path | None:
 
 def local_nodes(directory: Path) -> int:
     """Return the number of nodes of the local Cassandra of a directory; 0 = none of them runs."""
-    settings = _settings(directory)
-    if settings is None:
-        return 0
-    numbers = range(1, settings.nodes + 1)
-    nodes = [Node(n, directory / f"node{n}", settings) for n in numbers]
+    nodes = _nodes(directory)
     return len(nodes) if any(find_server(node.config, node.pid_file) for node in nodes) else 0
 
 
 def disk_trouble(directory: Path) -> str:
-    """Return why the local Cassandra of a directory may refuse writes; '' = no known reason."""
+    """Return why the local Cassandra of a directory may refuse writes; '' = no known reason.
+
+    The disk is full, or a node does not run.
+    """
     full = full_disk(directory)
-    settings = _settings(directory)
-    if full or settings is None:
+    if full:
         return full
-    for number in range(1, settings.nodes + 1):
-        node = Node(number, directory / f"node{number}", settings)
+    for node in _nodes(directory):
         if not find_server(node.config, node.pid_file):
-            return f"Cassandra node {number} of {directory} does not run; its log is {node.log}"
+            return (
+                f"Cassandra node {node.number} of {directory} does not run; its log is {node.log}"
+            )
     return ""
 
 
 def full_disk(directory: Path) -> str:
-    """Return a text if the disk is full, or was full since the server was started; else ''."""
-    settings = _settings(directory)
-    if settings is None:
+    """Return a text if the disk is full, or was full since the server was started; else ''.
+
+    A server whose disk was full refuses writes until it is started again.
+    """
+    nodes = _nodes(directory)
+    if not nodes:
         return ""
     try:
         free = shutil.disk_usage(directory).free
@@ -85,8 +87,7 @@ def full_disk(directory: Path) -> str:
         return f"{directory} cannot be read: {exc}"
     if free < LOW_BYTES:
         return f"the disk of {directory} is full: {free >> 20} MiB are free; make room there"
-    for number in range(1, settings.nodes + 1):
-        node = Node(number, directory / f"node{number}", settings)
+    for node in nodes:
         tail = log_since(node, max(0, log_size(node) - _TAIL_BYTES)).rpartition(_STARTED)[2]
         if any(sign in tail for sign in _FULL):
             return (
@@ -96,20 +97,22 @@ def full_disk(directory: Path) -> str:
     return ""
 
 
-def _settings(directory: Path) -> ClusterSettings | None:
+def _nodes(directory: Path) -> list[Node]:
+    """Return the nodes of a local Cassandra; [] = none is there, or its settings cannot be read."""
     try:
-        return load_settings(directory)
+        settings = load_settings(directory)
     except ServerError:
-        return None
+        return []
+    return [] if settings is None else nodes_of(directory, settings)
 
 
 def _is_at(directory: Path, address: str, port: int) -> bool:
-    settings = _settings(directory)
-    numbers = range(1, settings.nodes + 1) if settings else ()
-    return bool(settings and settings.port == port and address in map(settings.address, numbers))
+    """Return whether the local Cassandra of a directory has a node at an address."""
+    return any((node.address, node.settings.port) == (address, port) for node in _nodes(directory))
 
 
 def _running_directories() -> list[Path]:
+    """Return the directories of the local Cassandras whose servers run on this machine."""
     words = ((pid, word) for pid in psutil.pids() for word in command_line(pid))
     nodes = [(pid, Path(w[len(_STORAGE) :])) for pid, w in words if w.startswith(_STORAGE)]
     return [node.parent for pid, node in nodes if _is_here(pid, node)]

