@@ -295,8 +295,8 @@ def check_message_name(topic: str, name: Any) -> str:
     """Return a name under which a message of a topic can be stored, or raise InvalidKey."""
     wanted = f"a text of 1 to {MAX_MESSAGE_NAME_BYTES} bytes"
     if name != "":
-        kept = f"a name, for messages of topic {topic} are kept under names: {wanted}"
-        return check_text("key", name, MAX_MESSAGE_NAME_BYTES, InvalidKey, kept)
+        remedy = f"a name, for messages of topic {topic} are kept under names: {wanted}"
+        return check_text("key", name, MAX_MESSAGE_NAME_BYTES, InvalidKey, remedy)
     raise InvalidKey(
         f"messages of topic {topic} are kept under names, and '' is not a name: {wanted}"
     )

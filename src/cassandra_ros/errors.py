@@ -219,7 +219,7 @@ class InvalidQuery(CassandraRosError, ValueError):
         super().__init__(f"{reason}\n  {line}\n  {caret}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Of an error pickle gives its constructor the text that is shown.
+        # Otherwise pickle would call the constructor with the text that is shown.
         return type(self), (self.statement, self.position, self.reason), vars(self)
 
 

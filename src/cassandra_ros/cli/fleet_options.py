@@ -107,9 +107,9 @@ def refuse_single_store_options(options: argparse.Namespace, names: Mapping[str,
         options: The parsed options.
         names: Option, as it is typed → its value; a false value = the option is not given.
     """
-    given = next((name for name, value in names.items() if value), None)
-    if given is not None:
-        options.parser.error(f"{given} asks one store: it goes without --store")
+    first_given = next((name for name, value in names.items() if value), None)
+    if first_given is not None:
+        options.parser.error(f"{first_given} asks one store: it goes without --store")
 
 
 def tell_missing(missing: Mapping[str, str], program: str = "cassandra_bag") -> int:

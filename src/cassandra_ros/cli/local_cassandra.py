@@ -94,8 +94,15 @@ def _say_login(cluster: LocalCluster) -> None:
 def _say_address(cluster: LocalCluster) -> None:
     """Say how programs find a Cassandra that is not where they look for it."""
     settings = cluster.settings
-    given = {"HOST": (settings.host, DEFAULT_HOST), "PORT": (settings.port, DEFAULT_PORT)}
-    texts = [f"CASSANDRA_ROS_{n}={value}" for n, (value, usual) in given.items() if value != usual]
+    values_and_defaults = {
+        "HOST": (settings.host, DEFAULT_HOST),
+        "PORT": (settings.port, DEFAULT_PORT),
+    }
+    texts = [
+        f"CASSANDRA_ROS_{n}={value}"
+        for n, (value, usual) in values_and_defaults.items()
+        if value != usual
+    ]
     if texts:
         say(f"programs find it with:\n  export {' '.join(texts)}")
 

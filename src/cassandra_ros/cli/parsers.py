@@ -295,7 +295,13 @@ class _StoreConstOnce(argparse.Action):
 
 
 def _refuse_second(parser: Parser, action: argparse.Action, option: str) -> None:
-    """End the program if the command line gave a value for the same already."""
+    """Note that an option is given; end the program if the same was given before.
+
+    Args:
+        parser: The parser, which has what was given.
+        action: The option.
+        option: The option as it was typed.
+    """
     first = parser.given.get(action.dest)
     if first in action.option_strings:
         parser.error(f"{option} is given twice: give it once")

@@ -201,8 +201,8 @@ def main() -> int:
 
 def _require_no_pause(options: argparse.Namespace) -> None:
     """Refuse pauses that neither a key nor a service could end."""
-    given = {"--pause": options.paused, "--pause-topics": options.pause_topics}
-    for name in [name for name, value in given.items() if value]:
+    pausing_options = {"--pause": options.paused, "--pause-topics": options.pause_topics}
+    for name in [name for name, value in pausing_options.items() if value]:
         options.parser.error(
             f"{name} pauses until a key is pressed or a service is called, and there is no "
             f"terminal: leave out {name} or --no-services"

@@ -134,38 +134,38 @@ def main() -> int:
     parser = make_parser()
     answer_shell(parser)
     words = strip_remappings(None)
-    given = parser.parse_args(words)  # wrong usage and --help need no master
+    command_line = parser.parse_args(words)  # wrong usage and --help need no master
     from cassandra_ros.messages.ros_master import master_answers
 
     if not master_answers():
-        read_options(parser, given)  # what is wrong needs no master to be told
+        read_options(parser, command_line)  # what is wrong needs no master to be told
     from cassandra_ros.nodes.diagnostics import KeyspaceAddress
     from cassandra_ros.nodes.recorder_node import record, start_node
     from cassandra_ros.nodes.subscriptions import make_plan
     from cassandra_ros.recording.store_future import NO_STORE, is_there
 
     # Topics of the command line take the place of those of the parameters.
-    is_chosen = bool(given.topics or given.all or given.node)
+    is_chosen = bool(command_line.topics or command_line.all or command_line.node)
     without = ("topics", "all", "node") if is_chosen else ()
     options = parser.parse_args([*parameter_words(parser, start_node(sys.argv), without), *words])
-    chosen = read_options(parser, options)
+    recorder_options = read_options(parser, options)
     line = RecorderStatusLine(sys.stdout if not options.quiet and sys.stdout.isatty() else None)
     say = partial(line.say, quiet=options.quiet)
     if options.dry_run:
         options.wait = 0.0 if math.isinf(options.wait) else options.wait
         with open_store(options, make=True) as ros_cas:
-            plan = make_plan(ros_cas.catalog, chosen)
-        print(plan_table(plan, chosen))
+            plan = make_plan(ros_cas.catalog, recorder_options)
+        print(plan_table(plan, recorder_options))
         return _tell_problems([topic_plan.problem for topic_plan in plan if topic_plan.problem])
     place = KeyspaceAddress(store_place(options)[0], options.keyspace)
-    with awaited_store(options, StoreWait(_log.warning, _meanwhile(chosen))) as store:
+    with awaited_store(options, StoreWait(_log.warning, _meanwhile(recorder_options))) as store:
         show = line.show if line.shows else None
-        reports, problem = record(store, chosen, place, say, show)
+        reports, problem = record(store, recorder_options, place, say, show)
         spooled = sum(report.spooled for report in reports)
         if not (problem or spooled or is_there(store)):
             problem = NO_STORE
-    say(closing_table(reports, rates=not chosen.snapshot))
-    spool = chosen.spool_plan
+    say(closing_table(reports, rates=not recorder_options.snapshot))
+    spool = recorder_options.spool_plan
     if spooled and spool is not None:
         say(
             f"{counted(spooled, 'message')} in the spool {spool.folder.path}: the next recorder "

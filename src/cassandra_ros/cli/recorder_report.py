@@ -116,7 +116,7 @@ def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
         for name in ("left out", "paused", "spooled")
     ]
     extra = [(name, counts) for name, counts in optional if any(counts)]
-    names[5:5] = [name for name, _ in extra]
+    names[5:5] = [name for name, _ in extra]  # after "lost", as in the rows and the totals
     rows: list[Sequence[str]] = [
         (
             shown(r.topic),

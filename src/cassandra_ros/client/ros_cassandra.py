@@ -760,8 +760,12 @@ def _near_rows(
     names = sorted({table.metadata.topic for table in tables})
     # Before NEAR is joined: what is wrong with a condition of the caller stays an InvalidQuery.
     catalog.filters(where, names, read.whose)
-    given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
-    conditions: dict[str, Where] = {name: _and_near(given.get(name), disk) for name in names}
+    condition_by_name = {
+        catalog.get(name).name: condition for name, condition in (where or {}).items()
+    }
+    conditions: dict[str, Where] = {
+        name: _and_near(condition_by_name.get(name), disk) for name in names
+    }
     try:
         with catalog.places.shared():
             filters = catalog.filters(conditions, names, read.whose)

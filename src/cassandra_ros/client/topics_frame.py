@@ -109,11 +109,11 @@ class TopicsFrame:
         gathered, places = {}, {}
         for other in self._topics:
             if other.name == base.name:
-                fields, chosen = base_fields, np.arange(len(times))
+                fields, indexes = base_fields, np.arange(len(times))
             else:
                 fields = self._gather(other, low - self._within, high + self._within)
-                chosen = nearest_places(fields["KEY"].values, times, self._within)
-            gathered[other.name], places[other.name] = fields, chosen
+                indexes = nearest_places(fields["KEY"].values, times, self._within)
+            gathered[other.name], places[other.name] = fields, indexes
         return as_frame(align_fields(gathered, places, times))
 
     def _gather(

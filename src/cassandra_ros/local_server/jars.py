@@ -222,15 +222,15 @@ def _check_hashes(folder: Path, by: str) -> None:
         ServerError: One is missing, is not listed or has another content.
     """
     digests = {name: digest for name, (digest, _) in listed_jars().items()}
-    there = {path.name: _digest(path) for path in folder.glob("*.jar")}
+    fetched = {path.name: _digest(path) for path in folder.glob("*.jar")}
     wrong = sorted(
-        name for name in {*digests, *there} if digests.get(name, "") != there.get(name, "")
+        name for name in {*digests, *fetched} if digests.get(name, "") != fetched.get(name, "")
     )
     if wrong:
         first = wrong[0]
         raise ServerError(
             f"{by} did not fetch the jars that {server_file('jars.txt')} lists: {len(wrong)} "
-            f"differ, as {first} (SHA-256 {there.get(first) or 'missing'}, listed: "
+            f"differ, as {first} (SHA-256 {fetched.get(first) or 'missing'}, listed: "
             f"{digests.get(first) or 'not'}). Delete its folder in ~/.m2/repository, if it is "
             "there, and check which mirror is asked; if pom.xml was changed, change jars.txt, too"
         )

@@ -64,14 +64,14 @@ def run_node_tool(node: Node, pid: int, java: str, jars: Path, words: Sequence[s
             command += [f"-Duser.home={folder}", "-cp", str(jars / "*")]
             command += ["org.apache.cassandra.tools.NodeTool", "-h", _LOOPBACK, "-p", str(port)]
             command += ["-u", _USER, "-pwf", str(folder / "password"), *words]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        lines = (done.stdout + done.stderr).strip().splitlines()[-5:]
+            completed = subprocess.run(command, capture_output=True, text=True, check=False)
+    if completed.returncode:
+        lines = (completed.stdout + completed.stderr).strip().splitlines()[-5:]
         raise ServerError(
             f"Cassandra node {node.number} failed in nodetool {' '.join(words)}:\n"
             + "\n".join(lines)
         )
-    return done.stdout
+    return completed.stdout
 
 
 def _java_of_tool(java: str) -> str:

@@ -31,8 +31,8 @@ def make_directory(directory: Path, nodes: int, *, holds_data: bool = False) -> 
     """
     warning = ""
     try:
-        there = next(path for path in (directory, *directory.parents) if path.is_dir())
-        free, needed = shutil.disk_usage(there).free, _NEEDED_BYTES * nodes
+        existing = next(path for path in (directory, *directory.parents) if path.is_dir())
+        free, needed = shutil.disk_usage(existing).free, _NEEDED_BYTES * nodes
         if free < needed:
             warning = (
                 f"{directory} has {free >> 20} MiB free, Cassandra needs {needed >> 20} MiB; make "

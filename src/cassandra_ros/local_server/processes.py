@@ -138,7 +138,7 @@ def run_program(
         Its exit status (1 if it does not start, or not end in time) and its output.
     """
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             command,
             env={**os.environ, **(environment or {})},
             stdin=subprocess.DEVNULL,
@@ -153,7 +153,7 @@ def run_program(
         return 1, f"[ERROR] {command[0]} did not end within {timeout_sec:.0f} s"
     except OSError as exc:
         return 1, f"[ERROR] {exc}"
-    return done.returncode, done.stdout
+    return completed.returncode, completed.stdout
 
 
 def describe_process(pid: int) -> str:

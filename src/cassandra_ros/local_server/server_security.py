@@ -82,8 +82,10 @@ class Security:
             if loss := self.loss():
                 raise ServerError(loss)  # new passwords would not work
             if not (self.folder / _SECRETS).exists():
-                chosen = {name: secrets.token_urlsafe(24) for name in ("keystore", "user", "root")}
-                write_private(self.folder / _SECRETS, json.dumps(chosen))
+                passwords = {
+                    name: secrets.token_urlsafe(24) for name in ("keystore", "user", "root")
+                }
+                write_private(self.folder / _SECRETS, json.dumps(passwords))
             if not self.certificate.exists():
                 self._make_certificate(java)
             self._write_login("credentials", USER, self._secret("user"))
@@ -94,12 +96,12 @@ class Security:
 
     def loss(self) -> str:
         """Return a text with a remedy if the file with the passwords is lost; else ''."""
-        kept = self.folder / _SECRETS
-        if kept.exists() or not (self._keystore.exists() or self.certificate.exists()):
+        secrets_file = self.folder / _SECRETS
+        if secrets_file.exists() or not (self._keystore.exists() or self.certificate.exists()):
             return ""
         return (
-            f"{kept} is gone, and with it the passwords of the local Cassandra: its data can be "
-            "opened with those alone. Put the file back from a backup, or delete the data: "
+            f"{secrets_file} is gone, and with it the passwords of the local Cassandra: its data can "
+            "be opened with those alone. Put the file back from a backup, or delete the data: "
             "local_cassandra clear"
         )
 

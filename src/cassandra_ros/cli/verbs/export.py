@@ -196,13 +196,13 @@ def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
 
 def _path(options: argparse.Namespace) -> str:
     """Return the name of the bag; end the program if no name or two names are given."""
-    given = [path for path in (options.bag, options.output) if path is not None]
-    if len(given) == 2:
-        options.parser.error(f"one bag is made: {given[0]} or -o {given[1]}")
-    if not given:
+    paths = [path for path in (options.bag, options.output) if path is not None]
+    if len(paths) == 2:
+        options.parser.error(f"one bag is made: {paths[0]} or -o {paths[1]}")
+    if not paths:
         swallowed = "; --topics takes all words after it" if options.topics else ""
         options.parser.error(f"the bag to make is missing: give OUT.bag or -o OUT.bag{swallowed}")
-    return str(given[0])
+    return str(paths[0])
 
 
 def _print_report(report: ExportReport, start: str | None, seconds: float) -> None:

@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
         return _list(options)
     if options.field is None:
         options.parser.error("TOPIC and FIELD are needed, or --list")
-    done = []
+    changes = []
     with open_store(options) as ros_cas:
         for name in stored_topics(ros_cas.catalog, options) or ():
             topic = ros_cas.getTopic(name)
@@ -92,13 +92,13 @@ def run(options: argparse.Namespace) -> int:
                 with MessageBar(f"indexing {options.field}") as bar:
                     count = topic.createIndex(options.field, progress=bar.reach)
                 text, answer = f": {count} stored messages were taken in", {"messages": count}
-            done.append(
+            changes.append(
                 {"topic": name, "field": options.field, "removed": options.remove, **answer}
             )
             if not (options.quiet or options.json):
                 print(f"index on {shown(options.field)} of topic {shown(name)}{text}")
     if options.json:
-        print_json(done)
+        print_json(changes)
     return 0
 
 

@@ -268,9 +268,9 @@ def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
     others count: the times at which messages with names were stored may lie far from all others.
     """
     timed = [info for info in infos if info.key not in NAMED_FORMATS and info.count]
-    chosen = timed or infos
-    firsts = [info.first_ns for info in chosen if info.first_ns is not None]
-    lasts = [info.last_ns for info in chosen if info.last_ns is not None]
+    infos_with_ends = timed or infos
+    firsts = [info.first_ns for info in infos_with_ends if info.first_ns is not None]
+    lasts = [info.last_ns for info in infos_with_ends if info.last_ns is not None]
     return min(firsts, default=None), max(lasts, default=None)
 
 
@@ -280,9 +280,9 @@ def _print_summary(description: _Description) -> None:
     names, ends = {info.topic for info in description.infos}, description.ends
     print(f"keyspace:  {description.keyspace} at {description.place}")
     if ends is not None:
-        parts = description.activity.eras
-        length = format_duration(sum(end - start for start, end in parts))
-        without = f"; without pauses of ten years or more {length}" if len(parts) > 1 else ""
+        eras = description.activity.eras
+        length = format_duration(sum(end - start for start, end in eras))
+        without = f"; without pauses of ten years or more {length}" if len(eras) > 1 else ""
         print(f"duration:  {format_duration(ends[1] - ends[0])}{without}")
         for name, ns in zip(("start", "end"), ends):
             print(f"{name + ':':<10} {iso_time(ns)} ({ns // SECOND_NS}.{ns % SECOND_NS:09d})")

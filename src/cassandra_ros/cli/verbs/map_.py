@@ -279,10 +279,10 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
         f"{grid.width} x {grid.height} cells of {grid.resolution:g} m",
         f"poses: {shown('; '.join(made.sources), None)}",
     ]
-    others = [offer for offer in made.offers if not offer.taken]
-    if others:
+    other_offers = [offer for offer in made.offers if not offer.taken]
+    if other_offers:
         topics = ", ".join(
-            f"{shown(o.topic)} ({_percent(o.share)} of the messages)" for o in others
+            f"{shown(o.topic)} ({_percent(o.share)} of the messages)" for o in other_offers
         )
         lines.append(f"--odom takes another topic of poses: {topics}")
     without = counted(made.without_pose, "message")

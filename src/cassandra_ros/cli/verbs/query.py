@@ -172,8 +172,12 @@ def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> i
     from cassandra_ros.cli.results import write
     from cassandra_ros.query.arrays.array_types import ArrayType
 
-    given = {"--explain": options.explain, "--allow-writes": options.allow_writes}
-    refuse_single_store_options(options, {**given, "--output parquet": options.output == "parquet"})
+    single_store_options = {
+        "--explain": options.explain,
+        "--allow-writes": options.allow_writes,
+        "--output parquet": options.output == "parquet",
+    }
+    refuse_single_store_options(options, single_store_options)
     selection = {"nodeID": options.node_id, "run": options.run, "limit": options.limit}
     with open_fleet(options) as fleet:
         result = fleet.iterCQL(options.statement, params, **selection)

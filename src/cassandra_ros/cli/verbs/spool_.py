@@ -92,10 +92,10 @@ def _lock_runs(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
     """
     from cassandra_ros.recording.spool_drain import read_left
 
-    there = {path.name for path in folder.runs()}
+    present_ids = {path.name for path in folder.runs()}
     for name in ids:
-        if name not in there:
-            names = ", ".join(sorted(there)) or "none"
+        if name not in present_ids:
+            names = ", ".join(sorted(present_ids)) or "none"
             raise SpoolError(f"the spool {folder.path} has no run {name}; it has {names}")
     unlocked_names = set()
     for run_folder in folder.left():
@@ -189,12 +189,16 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
                 failed = failed or label is None
                 continue
             with MessageBar(f"storing {left_run.name}") as bar:
-                done = Drain(ros_cas.catalog, left_run).run(bar.add)
-            result = {"messages": done.messages, "lost": dict(done.lost), "complete": done.complete}
+                drained = Drain(ros_cas.catalog, left_run).run(bar.add)
+            result = {
+                "messages": drained.messages,
+                "lost": dict(drained.lost),
+                "complete": drained.complete,
+            }
             answer.append({"run": left_run.name, **result})
-            failed = failed or bool(done.lost) or not done.complete
+            failed = failed or bool(drained.lost) or not drained.complete
             if not (options.quiet or options.json):
-                print("\n".join(map(shown, lines_of(done))))
+                print("\n".join(map(shown, lines_of(drained))))
     if options.json:
         print_json(answer)
     elif not (answer or failed or options.quiet):
@@ -203,13 +207,13 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
 
 
 def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
-    chosen = options.runs or _left_names(folder)
+    ids = options.runs or _left_names(folder)
     if not options.yes:
-        listed = [_describe_run(folder.path / name, "left") for name in chosen]
+        listed = [_describe_run(folder.path / name, "left") for name in ids]
         messages = sum(listed_run.messages for listed_run in listed)
-        confirm(f"Delete {counted(messages, 'message')} of the spool?", "\n".join(chosen))
+        confirm(f"Delete {counted(messages, 'message')} of the spool?", "\n".join(ids))
     dropped = []
-    for left_run in _lock_runs(folder, chosen) if chosen else ():
+    for left_run in _lock_runs(folder, ids) if ids else ():
         left_run.folder.remove()
         dropped.append(left_run.folder.path.name)
         if not (options.quiet or options.json):

@@ -86,13 +86,13 @@ class FrameSource:
                 for track in Poses(chain).tracks(0, MAX_NS):
                     self._watch()
                     keys = arrow.array(track.times, arrow.timestamp("ns"))
-                    parts = (track.poses.moved, track.poses.turned)
+                    vectors = (track.poses.moved, track.poses.turned)
                     structs = [
                         arrow.StructArray.from_arrays(
                             [arrow.array(values[:, n]) for n in range(values.shape[1])],
                             fields=list(field.type),
                         )
-                        for values, field in zip(parts, list(self.columns)[2:])
+                        for values, field in zip(vectors, list(self.columns)[2:])
                     ]
                     nodes = arrow.repeat(node, len(track.times))
                     yield arrow.RecordBatch.from_arrays(

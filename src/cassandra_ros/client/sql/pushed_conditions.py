@@ -208,6 +208,7 @@ class _ConditionFinder:
         # What holds for each row of the result, as far as the row has one of the table.
         holds = {alias: self._where_bounds(where.this, names[alias]) for alias in sources}
         shifting = self._shifting_tables(select)
+        # What is read: of a shifting table WHERE leaves nothing out, but a comparing join may.
         reads = {a: UNBOUNDED_READ if a in shifting else read for a, read in holds.items()}
         for join in self._comparing_joins(select):
             alias = join.this.alias_or_name
@@ -289,8 +290,8 @@ class _ConditionFinder:
             method, side = (join.method or "").upper(), (join.side or "").upper()
             if method == "POSITIONAL" or (method == "ASOF" and side in ("RIGHT", "FULL")):
                 source = select.args.get("from_") or select.args.get("from")
-                every = [*joins, *([] if source is None else [source])]
-                return {source_or_join.this.alias_or_name for source_or_join in every}
+                joined = [*joins, *([] if source is None else [source])]
+                return {source_or_join.this.alias_or_name for source_or_join in joined}
             if method not in ("", "NATURAL"):
                 aliases.add(join.this.alias_or_name)
         return aliases
@@ -317,11 +318,11 @@ class _ConditionFinder:
             high = self._comparison_bounds("LTE", node.this, node.args["high"], names)
             return (low or UNBOUNDED_READ).both(high or UNBOUNDED_READ)
         if isinstance(node, exp.In) and node.expressions and not node.args.get("query"):
-            parts = [
+            value_reads = [
                 self._comparison_bounds("EQ", node.this, value, names) for value in node.expressions
             ]
-            reads = [read for read in parts if read is not None]
-            return _any_of(reads) if len(reads) == len(parts) else None
+            reads = [read for read in value_reads if read is not None]
+            return _any_of(reads) if len(reads) == len(value_reads) else None
         if isinstance(node, exp.In) and node.args.get("field") is not None:
             return self._in_event(node.this, node.args["field"], names)
         if isinstance(node, exp.ArrayContains):

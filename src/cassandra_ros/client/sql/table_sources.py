@@ -153,8 +153,8 @@ class TopicSource:
             return
         events, reads = self._keyspace.events.within(read.time_range), [read]
         if self.pushed.events is not None:
-            chosen = EventTimes(event for event in events if event.name in self.pushed.events)
-            reads = chosen.reads(read)
+            event_times = EventTimes(event for event in events if event.name in self.pushed.events)
+            reads = event_times.reads(read)
         names, place = EventNames(self.schema.arrow, events), len(self.schema.own)
         for event_read in reads:
             self._watch()
@@ -240,12 +240,12 @@ class ConditionChooser:
 
     def choose(self, table: Table, bucket: Sequence[Any]) -> Sequence[Query] | None:
         """Return the queries whose rows include all matching rows; None = read all rows."""
-        chosen = self.pushdown.choose(table, bucket)
-        if chosen is None or not table.packed or table.definition is None:
-            return chosen
+        queries = self.pushdown.choose(table, bucket)
+        if queries is None or not table.packed or table.definition is None:
+            return queries
         named = [name for name in self._floats if name in zone_map(table.definition).fields]
         nan = [((("_nan", "CONTAINS", name.encode()),), False) for name in named]
-        return [*chosen, *nan]
+        return [*queries, *nan]
 
     def few(self, table: Table) -> bool:
         """Return whether only few rows were found so far."""
