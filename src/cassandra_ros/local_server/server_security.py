@@ -100,8 +100,8 @@ class Security:
         if secrets_file.exists() or not (self._keystore.exists() or self.certificate.exists()):
             return ""
         return (
-            f"{secrets_file} is gone, and with it the passwords of the local Cassandra: its data can "
-            "be opened with those alone. Put the file back from a backup, or delete the data: "
+            f"{secrets_file} is gone, and with it the passwords of the local Cassandra: its data "
+            "can be opened with those alone. Put the file back from a backup, or delete the data: "
             "local_cassandra clear"
         )
 
