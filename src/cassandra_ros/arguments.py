@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from contextlib import suppress
 from decimal import Decimal, InvalidOperation
 from numbers import Integral
 from typing import AbstractSet, Any, Container, Iterable, Mapping, TypeVar
@@ -127,7 +128,8 @@ def check_seconds(name: str, value: Any) -> float:
     """Return a number of seconds, at least 0 (also inf), or raise InvalidOption."""
     number = plain_value(value)
     if isinstance(number, (int, float)) and not isinstance(number, bool) and number >= 0:
-        return float(number)
+        with suppress(OverflowError):
+            return float(number)
     raise InvalidOption(f"{name}={_shorten(value)} is not a number of seconds: give 0.0 or more")
 
 

@@ -64,6 +64,7 @@ def test_verbs_options_topics_and_fields(shell, press_tab, call, tmp_path):
         "cassandra_bag --comp": ["--completion"],
         "cassandra_bag index /tf d": ["data"],
         f"cassandra_bag verify {path} --topics /cam": ["/cam/left", "/cam/right"],
+        "cassandra_bag verify --with home --topics /cam": ["/cam/left"],
     }
     assert press_tab(*lines, shell=shell) == list(lines.values())
 

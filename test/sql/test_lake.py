@@ -176,6 +176,15 @@ def test_differences_are_found(lake, rosCas):
     ]
 
 
+def test_a_file_with_damaged_pages_is_a_difference(lake, rosCas):
+    path, *_ = sorted(lake.rglob("*.parquet"))
+    content = bytearray(path.read_bytes())
+    content[8 : len(content) // 3] = bytes(len(content) // 3 - 8)
+    path.write_bytes(content)
+    (text,) = Lake(rosCas.catalog, lake).verify().differences
+    assert text.startswith(f"{path} cannot be read: ")
+
+
 @pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_file_whose_messages_are_all_deleted_is_a_difference(lake, rosCas):
     path = sorted(lake.rglob("*.parquet"))[0]

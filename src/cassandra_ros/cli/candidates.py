@@ -88,6 +88,8 @@ def _topics_of_files(options: argparse.Namespace) -> list[str] | None:
     from cassandra_ros.files.bag.file_formats import open_file
 
     files = options.bags if options.verb == "import" else [options.bag]
+    if files == [None]:  # verify --with another store
+        return None
     topics = set()
     for path in files or ():
         with open_file(path) as reader:

@@ -96,7 +96,11 @@ def open_fleet(options: argparse.Namespace) -> Fleet:
     )
     hurry_on_interrupt(fleet)
     if any(getattr(options, name) for name in getattr(options, "time_options", ())):
-        check_times(options, FleetAnswer(fleet.stores).catalogs.values())
+        try:
+            check_times(options, FleetAnswer(fleet.stores).catalogs.values())
+        except BaseException:
+            fleet.close()
+            raise
     return fleet
 
 
@@ -169,7 +173,7 @@ def open_target(options: argparse.Namespace, make: bool) -> RosCassandra:
     host, port, keyspace = read_address(options.target, options.keyspace)
     place = {"host": host, "port": port, "keyspace": keyspace}
     login = {"cqlshrc": options.to_cqlshrc, "credentials": options.to_credentials}
-    # What is written must be acknowledged by a quorum, however the source is read. The run is one
-    # of the source.
-    others = {"consistency": DEFAULT_CONSISTENCY, "run": None}
+    # What is written must be acknowledged by a quorum, however the source is read. The run and the
+    # times are of the source.
+    others = {"consistency": DEFAULT_CONSISTENCY, "run": None, "time_options": ()}
     return open_store(argparse.Namespace(**{**vars(options), **place, **login, **others}), make)

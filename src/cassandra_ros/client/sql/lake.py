@@ -267,9 +267,10 @@ class Lake:
     def verify(self, progress: Progress = lambda path, count: None) -> LakeReport:
         """Compare the files with the store: their numbers of messages, and a digest of all values.
 
+        A file that cannot be read is a difference.
+
         Raises:
             MissingDependency: DuckDB is not installed.
-            CorruptMessage: The values of a file cannot be read, although its schema can.
         """
         report = LakeReport()
         for topic in self._timed_topics():
@@ -286,7 +287,7 @@ class Lake:
                 if path.exists():
                     try:
                         in_file = _count_and_digest(_FileSource(self._parquet, path))
-                    except (self._arrow.ArrowException, OSError) as exc:
+                    except (self._arrow.ArrowException, OSError, CorruptMessage) as exc:
                         report.differences.append(f"{path} cannot be read: {exc}")
                         continue
                 report.files += 1

@@ -89,14 +89,22 @@ class _Process:
         """What was read of its output and is in no frame yet."""
         self._folder = SpillFolder()
         # In the terminal's group it would get the program's Ctrl-C.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "cassandra_ros.client.sql.statement_process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-            # Each arena of glibc takes 64 MB of addresses, which are limited.
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "MALLOC_ARENA_MAX": "2"},
-        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "cassandra_ros.client.sql.statement_process"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,
+                # Each arena of glibc takes 64 MB of addresses, which are limited.
+                env={
+                    **os.environ,
+                    "PYTHONPATH": os.pathsep.join(sys.path),
+                    "MALLOC_ARENA_MAX": "2",
+                },
+            )
+        except OSError:
+            self._folder.close()
+            raise
         if self._process.stdin is None or self._process.stdout is None:
             raise TypeError("a process with pipes")
         self._input, self._output = self._process.stdin, self._process.stdout.fileno()
@@ -300,7 +308,10 @@ class StatementProcesses:
                 if process.is_running:
                     return process
                 process.close()
-        return _Process(self._store)
+        try:
+            return _Process(self._store)
+        except OSError as exc:
+            raise StoreUnavailable(f"no process can be started for SQL: {exc}") from exc
 
     def _put(self, process: _Process) -> None:
         """Keep a process for the next statement, or start another one in its place.
@@ -314,8 +325,11 @@ class StatementProcesses:
         with self._lock:
             if self._closed:
                 process.close()
+            elif process.is_free:
+                self._idle.append(process)
             else:
-                self._idle.append(process if process.is_free else _Process(self._store))
+                with suppress(OSError):  # the next statement tries again, and tells it
+                    self._idle.append(_Process(self._store))
 
     def close(self) -> None:
         """End the processes; those that run a statement end with it."""
