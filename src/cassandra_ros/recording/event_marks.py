@@ -25,6 +25,8 @@ Put = Callable[[Event], object]
 class EventMarks:
     """The events that this process has begun and not ended. Thread-safe.
 
+    ``put`` is called under its lock, so that the states of an event are stored in their order.
+
     Args:
         put: Stores an event.
     """
@@ -32,6 +34,7 @@ class EventMarks:
     def __init__(self, put: Put) -> None:
         self._put = put
         self._lasting: dict[tuple[str, str], Event] = {}
+        """The events, by name and nodeID."""
         self._mutex = threading.Lock()
 
     def mark(
@@ -53,7 +56,7 @@ class EventMarks:
             CassandraRosError: It cannot be stored, and is as before.
         """
         key = check_event_name(name), node
-        more = check_labels(labels or {}), check_event_values(values or {})
+        new_labels, new_values = check_labels(labels or {}), check_event_values(values or {})
         with self._mutex:
             begun = self._lasting.get(key)
             if begun is not None and t < begun.start_ns:
@@ -62,10 +65,11 @@ class EventMarks:
                     f"the clock was set back to {iso_time(t)}; end it later, or end the recorder"
                 )
             if begun is None:
-                event = Event(name, t, None, node, writer, *more)
+                event = Event(name, t, None, node, writer, new_labels, new_values)
             else:
-                both = {**begun.labels, **more[0]}, {**begun.values, **more[1]}
-                event = replace(begun, end_ns=t, labels=both[0], values=both[1])
+                all_labels = {**begun.labels, **new_labels}
+                all_values = {**begun.values, **new_values}
+                event = replace(begun, end_ns=t, labels=all_labels, values=all_values)
             self._put(event)
             if begun is None:
                 self._lasting[key] = event
@@ -74,7 +78,11 @@ class EventMarks:
             return event
 
     def end_all(self, t: int) -> None:
-        """End all events at a time, ns; those that cannot be stored go on lasting in the store."""
+        """End all events at a time, ns, or at their starts if these are later.
+
+        Raises:
+            CassandraRosError: ``put`` raised it: this event and the later ones are not ended.
+        """
         with self._mutex:
             for event in self._lasting.values():
                 self._put(replace(event, end_ns=max(t, event.start_ns)))
@@ -120,7 +128,7 @@ class EventWatch:
         """Time of the last message that satisfied the condition, ns."""
 
     def see(self, header: Mapping[str, str], t: int, wire: bytes) -> None:
-        """Take a message that was received at a time, ns."""
+        """Begin or end the event by a message that was received at a time, ns."""
         if t < self._last - max(self._rule.hold_ns, SECOND_NS):
             self.end()  # the clock was set back
         if self._holds(header, t, wire):

@@ -35,6 +35,7 @@ class EventWriter:
         self._waiting: dict[str, Event] = {}
         """The events to be stored, by key."""
         self._lost = 0
+        """Number of events that were not taken because MAX_WAITING waited."""
         self._ending = False
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
@@ -59,7 +60,7 @@ class EventWriter:
         if self._thread is not None:
             self._thread.join(END_SEC)
         with self._changed:
-            events, self._waiting = self._waiting, {}
+            events, self._waiting = self._waiting, {}  # so that the thread ends
         if events or self._lost:
             names = ", ".join(sorted({event.name for event in events.values()}))
             _log.error(
@@ -69,6 +70,7 @@ class EventWriter:
             )
 
     def _run(self) -> None:
+        """Store the waiting events one by one, until none waits after ``close``."""
         while True:
             with self._changed:
                 while not (self._waiting or self._ending):
@@ -85,7 +87,10 @@ class EventWriter:
                     del self._waiting[event.key]
 
     def _store_event(self, event: Event) -> bool:
-        """Store an event; return False if it is to be tried again."""
+        """Store an event; return False if it is to be tried again.
+
+        One that the store refuses is logged and not tried again.
+        """
         if not is_there(self._store):
             return False
         try:

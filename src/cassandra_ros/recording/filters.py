@@ -49,9 +49,13 @@ class Filters:
         self._node = node
         self._topics: dict[str, TopicFilter | None] = {}
         self._mutex = threading.Lock()
+        """Guards changes of ``_topics``, which is read without it."""
 
     def passes(self, topic: str, header: Mapping[str, str], t: int, wire: bytes) -> bool:
         """Return whether a message is recorded; the condition is checked before the rate.
+
+        Each message of a topic must be given once, in the order of reception: it counts for the
+        rate, and may begin or end events.
 
         Args:
             header: Connection header; the same object for all messages of a connection.
@@ -78,10 +82,11 @@ class Filters:
                 _Throttle(settings.rate_limit) if settings.rate_limit else None,
                 watches,
             )
-        with self._mutex:
+        with self._mutex:  # of two that were made at the same time the first is used
             return self._topics.setdefault(topic, topic_filter)
 
     def _watches(self, topic: str) -> list[EventWatch]:
+        """Return the watches of the events whose condition is one on this topic."""
         put, watches = self._put, []
         for rule in self._settings.events if put is not None else ():
             if topic in spellings(rule.topic) and put is not None:
@@ -99,13 +104,20 @@ class Filters:
 
 
 class _Throttle:
-    """A maximum rate of messages; messages that come late do not lower the rate."""
+    """A maximum rate of messages.
+
+    A message that passes less than a period late does not delay the ones after it, so that the
+    mean rate stays.
+    """
 
     def __init__(self, rate_hz: float) -> None:
         self._period = max(1, int(SECOND_NS / rate_hz))
+        """Time between two messages, ns."""
         self._due: int | None = None
+        """Time from which on the next message passes, ns; None = at any time."""
 
     def passes(self, t: int) -> bool:
+        """Return whether a message passes that was received at ``t``, ns."""
         due = t if self._due is None else self._due
         if due - t > self._period:  # time went back
             due = t
@@ -117,7 +129,14 @@ class _Throttle:
 
 
 class TopicFilter:
-    """Says of each message of one topic whether it is recorded. Thread-safe."""
+    """Says of each message of one topic whether it is recorded. Thread-safe.
+
+    Args:
+        condition: Condition that recorded messages satisfy; None = none.
+        throttle: Maximum rate; None = none.
+        watches: Events that begin and end by messages of the topic. They see also those that the
+            condition or the rate leaves out.
+    """
 
     def __init__(
         self,
@@ -131,7 +150,7 @@ class TopicFilter:
         self._mutex = threading.Lock()
 
     def passes(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
-        """Say whether a message is recorded; see Filters.passes."""
+        """Return whether a message is recorded; see Filters.passes."""
         with self._mutex:
             for watch in self._watches:
                 watch.see(header, t, wire)
@@ -151,7 +170,7 @@ Test = Callable[[Row], bool]
 
 
 class _TopicCondition:
-    """A condition on the messages of one topic, of one or several types.
+    """A condition on the messages of one topic, of one or several types. Not thread-safe.
 
     Args:
         event: Name of the event that lasts while it holds; '' = it decides what is recorded.
@@ -160,8 +179,14 @@ class _TopicCondition:
     def __init__(self, topic: str, where: str, node: str, event: str = "") -> None:
         self._topic, self._where, self._node, self._event = topic, where, node, event
         self._by_header: dict[int, tuple[Mapping[str, str], LiveTable, Test | None]] = {}
+        """By id of a connection header: the header, which keeps the id from reuse, the connection's
+        table, and its test; None = the condition cannot be checked."""
 
     def holds(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
+        """Return whether a message satisfies the condition.
+
+        If it cannot be checked: True for a filter, so that all is recorded, False for an event.
+        """
         entry = self._by_header.get(id(header))
         if entry is None:
             if len(self._by_header) >= MAX_HEADERS:
@@ -173,6 +198,7 @@ class _TopicCondition:
         return test(LiveRow(table, self._topic, self._node, t, wire, len(wire)))
 
     def _compile(self, header: Mapping[str, str]) -> tuple[LiveTable, Test | None]:
+        """Return table and test of a connection; log why its condition cannot be checked (None)."""
         connection = live_connection(self._topic, header)
         table = LiveTable(connection)
         if table.definition is not None:

@@ -58,7 +58,7 @@ GIVE_UP_SEC = 300.0
 """Maximum time after the end in which messages are still tried to be stored, s."""
 MAX_FEEDS = 4096
 """Maximum number of connections whose header is remembered: publishers come and go for days."""
-LAST_WORD_SEC = 2.0
+LOSSES_WAIT_SEC = 2.0
 """Maximum time in which an abandoned recording tries to store its losses, s."""
 STORE_POLL_SEC = 0.2
 """Interval at which a recording that waits for the store checks whether it is ended, s."""
@@ -72,12 +72,13 @@ SILENT_STORE_SEC = 5.0
 """Time at the end in which the store takes no message, after which they stay in the spool, s."""
 SLOW_STORE_SEC = 30.0
 """The same time while no request to the store has failed, s: it may only be slow."""
-WORD_SEC = 30.0
+SPOOL_WAIT_SEC = 30.0
 """Maximum time that an abandoned recording with a spool waits until its messages are there, s."""
 MAX_STEP_BACK_NS = SECOND_NS
 """Step back of the clock above which a warning is logged, ns."""
 
 _Sources = MutableMapping[Tuple[str, bytes], MessageSource]
+"""Sources by topic and the bytes of the connection header."""
 StampedMessage = Tuple[str, Mapping[str, str], bytes, int]
 """Topic, connection header, serialised message and time of reception, ns."""
 
@@ -134,29 +135,42 @@ class Recording:
         self._filters = filters or Filters(self._settings, node)
         self.node, self.name, self._labels = node, name, dict(labels or {})
         self._limit, self._block_sec = limit, block_sec
-        self._before: Mapping[str, int] = {}
+        self._earlier_counts: Mapping[str, int] = {}
         """Number of messages by topic in earlier runs that count for the limit."""
         self._lock = threading.Lock()
-        self._accepting, self._counter, self._latest = True, restored, 0
+        """Guards the values up to ``_writer_ids``, and the order in which received messages enter
+        the buffer."""
+        self._accepting = True
+        self._counter = restored
+        """Counter of the next message; those before it are for the restored ones."""
+        self._latest = 0
+        """Time of reception of the last message, ns; 0 = no message."""
         self._feeds: dict[int, Feed] = {}
-        # Referenced by feeds, queued messages and waiting lists.
+        """Connections by the id of their header."""
+        # Weak: a source lives as long as a feed, a queued message or ``_waiting`` has it.
         self._sources: _Sources = weakref.WeakValueDictionary()
         self.writer_id = new_writer_id()
-        self._numbers = [self.writer_id]
-        """Writer ids of the run; more than one after 2**32 messages."""
+        self._writer_ids = [self.writer_id]
+        """Writer ids of the run, by number of overflows of the counter: more than one only after
+        2**32 messages."""
         self._begun_ns = time.time_ns()
+        """Time at which the run began, wall clock, ns."""
         self._losses = LossLog(node, self.writer_id)
         self._places = PlaceKeeper(
             self._store, RobotRun(node, self.writer_id), self._losses, places
         )
         self._counts = Counts(self._losses)
         self._writers: list[MessageWriter] = []
-        """Empty until the run is opened in the store."""
+        """Writers in the order of ``_writer_ids``; empty until the run is opened in the store. Then
+        only the writing thread appends to it."""
         self._gives_up = math.inf
         """Time at which the recording gives up an unconnected store, monotonic clock, s."""
         self._buffer, self._buffer_bytes = Buffer(buffer_bytes), buffer_bytes
-        self._most_waiting, self._waiting_bytes = buffer_bytes // 2 or 2**63, 0
+        self._max_waiting_bytes, self._waiting_bytes = buffer_bytes // 2 or 2**63, 0
+        """Maximum memory of the messages that wait for their tables, and their memory now, bytes.
+        """
         self._waiting: list[MessageSource] = []
+        """Sources with messages that wait for their tables. Of the writing thread alone."""
         if self._store.done():
             self._open_now(spool is not None)
         self._tables = TableMaker(self._make_together, self._connect, self._buffer.wake)
@@ -175,18 +189,24 @@ class Recording:
         self._queue: Backlog | Buffer = self._backlog or self._buffer
         """Queue from which the writing thread takes messages."""
         self._left = False
-        """Whether messages stay in the spool at the end."""
-        self._start()
-
-    def _start(self) -> None:
-        self._ended, self._saving = threading.Event(), threading.Lock()
-        self._closing, self._closed = threading.Lock(), threading.Event()
+        """Whether messages stay in the spool at the end; set once, by ``_leave``."""
+        self._ended = threading.Event()
+        """Set at the end: losses are not stored at intervals any more, and the counts become final.
+        """
+        self._saving = threading.Lock()
+        """Held while losses and the context are stored."""
+        self._closing = threading.Lock()
+        """Held while it is decided whether messages stay in the spool: ``abandon`` is called by
+        another thread than ``close``."""
+        self._closed = threading.Event()
+        """Set when ``close`` has nothing more to do."""
         self._thread = self._thread_of(self._run, "recorder-writer")
         self._thread_of(self._keep, "recorder-losses")
 
     def _label(self, spool: SpoolPlan, overflows: int) -> SpoolLabel:
+        """Return the label of a file with messages after so many overflows of the counter."""
         return SpoolLabel(
-            self._number(overflows),
+            self._writer_id_after(overflows),
             self.writer_id,
             spool.keyspace,
             spool.address,
@@ -198,14 +218,15 @@ class Recording:
             journal=spool.journal,
         )
 
-    def _number(self, overflows: int) -> int:
+    def _writer_id_after(self, overflows: int) -> int:
         """Return the writer id after so many overflows of the counter."""
         with self._lock:
-            while len(self._numbers) <= overflows:
-                self._numbers.append(new_writer_id())
-            return self._numbers[overflows]
+            while len(self._writer_ids) <= overflows:
+                self._writer_ids.append(new_writer_id())
+            return self._writer_ids[overflows]
 
     def _source(self, connection: Connection) -> MessageSource:
+        """Return the source of a connection, for messages that come back from the spool."""
         with self._lock:
             key = (connection.topic, connection.header)
             return self._sources.setdefault(key, MessageSource(connection))
@@ -230,7 +251,10 @@ class Recording:
                 raise
 
     def _open(self) -> None:
-        """Start the run in the store; raises what the store raises."""
+        """Start the run in the store; raises what the store raises.
+
+        The constructor calls it, or the writing thread when the store answers.
+        """
         self._writers.append(self._make_writer(self.writer_id))
         self._store.result().keyspace.cassandra.outage.tell_waiting(self._waiting_for_long)
         if self.name:
@@ -287,6 +311,8 @@ class Recording:
     ) -> bool:
         """Record one serialised message that was just received. Never waits for the store.
 
+        A message of a topic that has reached the limit is ignored, and not counted.
+
         Args:
             header: Connection header; the same object for all messages of a connection.
             paused: Only count the message.
@@ -314,7 +340,10 @@ class Recording:
     def _take(
         self, topic: str, header: Mapping[str, str], wire: bytes, paused: bool
     ) -> Sequence[BufferedMessage]:
-        """Stamp and queue a message; return the messages that were dropped for it."""
+        """Stamp, filter and queue a message; return the messages that were dropped for it.
+
+        The caller holds the lock.
+        """
         feed = self._feed(topic, header)
         self._counts.attribute(topic, wire, feed)
         if paused:
@@ -341,6 +370,10 @@ class Recording:
         return self._put(feed, t, wire)
 
     def _put(self, feed: Feed, t: int, wire: bytes) -> Sequence[BufferedMessage]:
+        """Queue a stamped message under the next counter; return those dropped for it.
+
+        The caller holds the lock.
+        """
         counter = self._counter
         self._counter += 1
         if feed.source.tells_places:
@@ -404,6 +437,7 @@ class Recording:
         self._counts.lost(topic, 1, kind, self.now() if t is None else t, detail)
 
     def _feed(self, topic: str, header: Mapping[str, str]) -> Feed:
+        """Return the connection that a header object belongs to; the caller holds the lock."""
         feed = self._feeds.get(id(header))
         if feed is None:
             connection = live_connection(topic, header)
@@ -418,14 +452,16 @@ class Recording:
         """Return whether a topic has all the messages that the limit allows."""
         if not self._limit:
             return False
-        return self._before.get(topic, 0) + self._counts.kept(topic) >= self._limit
+        return self._earlier_counts.get(topic, 0) + self._counts.kept(topic) >= self._limit
 
     def hand_over(self, later: Recording, switch: Callable[[], None]) -> None:
-        """Accept no more messages.
+        """Accept no more messages, and let a later recording get them.
+
+        Both happen under the lock: no message is received in between.
 
         Args:
             later: The recording that gets the following messages.
-            switch: Makes ``later`` the current recording.
+            switch: Makes ``later`` the current recording; must not call this recording.
         """
         with self._lock:
             self._accepting = False
@@ -436,11 +472,11 @@ class Recording:
 
     def _go_on_counting(self, before: Mapping[str, int]) -> None:
         """Count messages of an earlier run, by topic, for the limit too."""
-        self._before = before
+        self._earlier_counts = before
 
     def _limit_counts(self) -> dict[str, int]:
         """Return the number of messages of each topic that count for the limit."""
-        counts = Counter(self._before)
+        counts = Counter(self._earlier_counts)
         for report in self.reports():
             counts[report.topic] += report.received - report.left_out - report.paused
         return dict(counts)
@@ -475,6 +511,7 @@ class Recording:
         return self._counts.of(topic)
 
     def _run(self) -> None:
+        """Write messages until the recording has ended: the writing thread."""
         why = self._await_store()
         if not why:
             while not self._step():
@@ -491,7 +528,7 @@ class Recording:
     def _await_store(self) -> str:
         """Open the run as soon as the store answers; return why it cannot be opened, else ''."""
         started = time.monotonic()
-        last_warning = started + NO_STORE_SEC - TELL_SEC
+        last_warning = started + NO_STORE_SEC - TELL_SEC  # so that the first comes at NO_STORE_SEC
         while not self.opened:
             if self._is_too_late():
                 return NO_STORE
@@ -520,7 +557,10 @@ class Recording:
         return ""
 
     def _is_too_late(self) -> bool:
-        """Return whether the recording has ended and need not wait for the store any longer."""
+        """Return whether the recording has ended and need not wait for the store any longer.
+
+        With a spool it waits until ``stop`` leaves the messages there.
+        """
         if not self._buffer.closed:
             return False
         if self._backlog is not None:
@@ -535,7 +575,7 @@ class Recording:
         return text
 
     def _lose_all(self, why: str) -> None:
-        """Count all messages as lost: the run could not be opened."""
+        """Count all messages as lost until the recording ends: the run could not be opened."""
         while not self._buffer.ended:
             for item in self._buffer.next_messages(
                 WRITE_ROUND_MESSAGES, WRITE_ROUND_BYTES, POLL_SEC
@@ -545,7 +585,7 @@ class Recording:
 
     def _step(self) -> bool:
         """Move some messages on; return whether the recording has ended and no message is left."""
-        if self._backlog is not None and self._waiting_bytes > self._most_waiting:
+        if self._backlog is not None and self._waiting_bytes > self._max_waiting_bytes:
             time.sleep(POLL_SEC)  # the rest waits on disk
         else:
             for item in self._queue.next_messages(
@@ -556,11 +596,11 @@ class Recording:
             source = self._tables.decided.popleft()
             self._waiting.remove(source)
             while source.waiting:
-                self._route(self._release(source))
+                self._route(self._take_waiting(source))
         if self._backlog is not None:
             if self._backlog.leaving:
                 return True
-            if not self._waiting:
+            if not self._waiting:  # what waits for a table is taken, but no flush waits for it
                 self._backlog.delete_stored_files(self._flush)
         ending = self._queue.ended
         for source in self._waiting:
@@ -572,6 +612,7 @@ class Recording:
         return ending and not self._waiting
 
     def _route(self, item: BufferedMessage) -> None:
+        """Write a message, or keep it until its source has a table, or count it as lost."""
         source = item.source
         if source.handle is None and not source.error:
             if not source.waiting and not source.submitted:
@@ -581,7 +622,7 @@ class Recording:
             # Messages that wait for tables use at most half of the buffer, so that topics that
             # have a table go on.
             while self._is_over(source):
-                old = self._release(source)
+                old = self._take_waiting(source)
                 self._buffer.release(old)
                 self._lose(source.topic, LossKind.TABLE_LATE, "", old.t)
             return
@@ -592,26 +633,37 @@ class Recording:
         self._buffer.release(item)
 
     def _flush(self) -> None:
+        """Wait until each message that was written is stored or lost."""
         for writer in self._writers:
             writer.flush()
 
     def _is_over(self, source: MessageSource) -> bool:
-        """Return whether the oldest message of a source that waits for its table is dropped."""
+        """Return whether the oldest message of a source that waits for its table is dropped.
+
+        It is not before an attempt to make the table has failed, nor with a spool: ``_step`` then
+        takes no more messages. The newest message is never dropped.
+        """
         if self._backlog is not None:
             return False
-        return source.told and self._waiting_bytes > self._most_waiting and len(source.waiting) > 1
+        return (
+            source.told
+            and self._waiting_bytes > self._max_waiting_bytes
+            and len(source.waiting) > 1
+        )
 
-    def _release(self, source: MessageSource) -> BufferedMessage:
+    def _take_waiting(self, source: MessageSource) -> BufferedMessage:
+        """Remove and return the oldest message of a source that waits for its table."""
         item = source.waiting.popleft()
         self._waiting_bytes -= item.nbytes
         return item
 
     def _write(self, item: BufferedMessage, handle: Handle) -> None:
+        """Give a message to the writer of its counter; count it as lost if that fails."""
         overflows, counter = divmod(item.counter, 1 << COUNTER_BITS)
         source = item.source
         try:
             while len(self._writers) <= overflows:
-                self._writers.append(self._make_writer(self._number(len(self._writers))))
+                self._writers.append(self._make_writer(self._writer_id_after(len(self._writers))))
             writer = self._writers[overflows]
             if overflows:  # the counter overflowed: another writer with its own handles
                 handle = connect(writer, source.connection, Lengths(), self._settings)
@@ -630,10 +682,11 @@ class Recording:
         """Make the tables of several sources, on the thread of the table maker."""
         make_together(self._writers[0], sources, self._settings)
 
-    def _make_writer(self, number: int) -> MessageWriter:
+    def _make_writer(self, writer_id: int) -> MessageWriter:
+        """Make a writer, which stores its run at once; raises what the store raises."""
         run = Run(
             self.node,
-            number,
+            writer_id,
             "recording",
             name=self.name,
             format=self._settings.default.format or "",
@@ -641,7 +694,7 @@ class Recording:
         )
         return make_writer(
             self._store.result().keyspace,
-            writer_id=number,
+            writer_id=writer_id,
             format=self._settings.default.format,
             node=self.node,
             ttl=self._settings.default.ttl,
@@ -653,12 +706,16 @@ class Recording:
         )
 
     def _on_refusal(self, topic: str, messages: int, error: CassandraRosError) -> None:
+        """Count messages that a writer has given up; called on any thread."""
         first, last = (error.first_ns, error.last_ns) if isinstance(error, WriteFailed) else (0, 0)
         first, last = first or self.now(), last or self.now()
         self._counts.lost(topic, messages, LossKind.REFUSED, first, str(error), last)
 
     def put_context(self, context: RunContext) -> None:
-        """Store parameters and node graph with the run, in the background."""
+        """Store parameters and node graph with the run, in the background.
+
+        They are lost if the store does not answer until the end.
+        """
         self._context = context
 
     def _keep(self) -> None:
@@ -667,6 +724,7 @@ class Recording:
             self._save()
 
     def _save(self) -> None:
+        """Store new losses and the context; if the store does not answer, the next call does so."""
         if not is_there(self._store):
             return
         registry = self._store.result().keyspace.registry
@@ -691,7 +749,8 @@ class Recording:
             timeout_sec: Maximum time to wait, s; None = no maximum. Call again to go on waiting.
 
         Returns:
-            Whether all messages are stored or lost.
+            Whether the writing thread has ended: each message was given to a writer, which may
+            still wait for the store's answer, or is lost, or stays in the spool.
         """
         with self._lock:
             self._accepting = False
@@ -706,13 +765,13 @@ class Recording:
 
     def _store_or_leave(self, timeout_sec: float) -> None:
         """Wait until all messages are stored; leave them on disk if the store takes none."""
-        before, since = -1, time.monotonic()
+        settled_before, since = -1, time.monotonic()
         ends = since + timeout_sec
         while (self._thread.is_alive() or self._has_pending()) and time.monotonic() < ends:
             self._thread.join(POLL_SEC) if self._thread.is_alive() else time.sleep(POLL_SEC)
             settled = sum(self._stored_counts().values()) + sum(r.lost for r in self.reports())
-            if settled != before:
-                before, since = settled, time.monotonic()
+            if settled != settled_before:
+                settled_before, since = settled, time.monotonic()
             patience = SILENT_STORE_SEC if self.is_held_up else SLOW_STORE_SEC
             if time.monotonic() - since > patience and not self._left:
                 self._leave()
@@ -725,7 +784,10 @@ class Recording:
                 writer.hurry(SLOW_STORE_SEC)
 
     def _leave(self) -> None:
-        """Keep unstored messages in the spool, also those that the store gives back."""
+        """Keep unstored messages in the spool, also those that the store gives back.
+
+        It does nothing without a spool, if no message waits, or if the recording is closed.
+        """
         with self._closing:
             if self._backlog is None or self._left or self._closed.is_set():
                 return
@@ -737,11 +799,15 @@ class Recording:
                 writer.give_back(partial(self._backlog.take_back, overflows))
 
     def _hurry(self) -> None:
+        """Let the writers give up what a silent store has not taken after GIVE_UP_SEC."""
         for writer in list(self._writers):
             writer.hurry(GIVE_UP_SEC)
 
     def close(self) -> list[TopicReport]:
-        """Stop, close the buckets, store the end of the run; return the final report."""
+        """Stop, close the buckets, store the end of the run; return the final report.
+
+        If messages stay in the spool, so does the end of the run. A second call changes nothing.
+        """
         self.stop()
         if not self._ended.is_set():
             for writer in self._writers:
@@ -761,7 +827,11 @@ class Recording:
         return self.reports()
 
     def _finish_spool(self) -> None:
-        """End a run whose messages are not all stored: the rest stays in the spool."""
+        """End a run whose messages are not all stored: the rest stays in the spool.
+
+        In this order: writers give messages back until they are closed, what the spool then cannot
+        keep is lost, and the end has the final counts.
+        """
         for writer in self._writers:
             _try_to(writer.close)
         self._ended.set()
@@ -795,6 +865,7 @@ class Recording:
         return max(messages, 0), nbytes
 
     def _waiting_for_long(self) -> str:
+        """Return how many messages wait and how long they are kept, as text; '' = none wait."""
         messages, nbytes = self.waiting()
         if not messages:
             return ""
@@ -816,11 +887,11 @@ class Recording:
         """
         if self._backlog is not None:
             self._leave()
-            if self._closed.wait(WORD_SEC):
+            if self._closed.wait(SPOOL_WAIT_SEC):
                 return self.reports()
         self._end_counts()
         # The losses are stored if the store answers in time; the process may end before.
-        self._thread_of(self._save, "recorder-losses").join(LAST_WORD_SEC)
+        self._thread_of(self._save, "recorder-losses").join(LOSSES_WAIT_SEC)
         return self.reports()
 
     def _end_counts(self) -> None:
