@@ -26,15 +26,15 @@ LOOK_SEC = 10.0
 RETRY_SEC = 5.0
 """Pause after a drain has failed, s."""
 MAX_TRIES = 3
-"""Maximum number of times that a drain that fails is tried."""
+"""Maximum number of times in a row that a drain that fails is tried; then other runs come first."""
 
 
 class LeftRuns:
     """Drains the runs in the spool that belong to a keyspace and have no process, on a thread.
 
     Args:
-        store: The store, or a future of it.
-        plan: The spool, and the keyspace.
+        store: Future of the catalog of the connected keyspace.
+        plan: The spool, the keyspace and the address of the store.
         say: Prints a line for the user.
     """
 
@@ -42,8 +42,9 @@ class LeftRuns:
         self._store, self._plan, self._say = store, plan, say
         self._stopped = threading.Event()
         self._drain: Drain | None = None
+        """Drain that runs, or ran last; ``stop`` ends it."""
         self._told: set[Path] = set()
-        """Runs that stay, of which it was logged why."""
+        """Folders of runs that stay and that this object does not try again; it was logged why."""
         self._thread = threading.Thread(target=self._run, name="recorder-left", daemon=True)
         self._thread.start()
 
@@ -70,6 +71,7 @@ class LeftRuns:
             _log.exception("the spool %s could not be drained", self._plan.folder.path)
 
     def _take_up(self, folder: RunFolder) -> None:
+        """Drain a run whose folder this process has locked, or log why it stays."""
         if folder.path in self._told:
             return
         if folder.is_empty():
@@ -99,7 +101,7 @@ class LeftRuns:
                 self._stopped.wait(RETRY_SEC)
 
     def _foreign(self, left_run: LeftRun) -> str:
-        """Return why a run is not drained into this store; '' = it is."""
+        """Return that a run belongs to another store, as text; '' = it belongs to this one."""
         label, plan = left_run.label, self._plan
         if label is None or (label.keyspace, label.address) == (plan.keyspace, plan.address):
             return ""

@@ -47,17 +47,16 @@ class _LossRange:
     """The losses of a topic and kind that are stored as one row."""
 
     loss: Loss
+    """All of them together."""
     saved: bool = False
     """Whether the row in the store is up to date."""
-    told: bool = False
+    sent: bool = False
     """Whether the row may exist in the store: then its first time, which is its key, is fixed."""
 
     def takes(self, first_ns: int) -> bool:
         """Return whether a loss that begins at ``first_ns`` belongs to this row."""
-        begins, ends = self.loss.first_ns, self.loss.last_ns
-        return (
-            begins - (0 if self.told else JOINED_LOSSES_NS) <= first_ns <= ends + JOINED_LOSSES_NS
-        )
+        earliest = self.loss.first_ns - (0 if self.sent else JOINED_LOSSES_NS)
+        return earliest <= first_ns <= self.loss.last_ns + JOINED_LOSSES_NS
 
     def grow(self, messages: int, first_ns: int, last_ns: int) -> None:
         """Add a further loss."""
@@ -70,13 +69,13 @@ class _LossRange:
         )
         self.saved = False
 
-    def tell(self) -> Loss:
+    def to_store(self) -> Loss:
         """Return the loss to be stored; from now on its first time, which is its key, is fixed."""
-        self.told = True
+        self.sent = True
         return self.loss
 
     def save(self, loss: Loss) -> None:
-        """Note that the store knows a loss, where it is this one as it is now."""
+        """Note that the store has a loss, if that is still the present state of this one."""
         self.saved = self.saved or self.loss == loss
 
 
@@ -124,7 +123,10 @@ class LossLog:
             return dict(self._totals.get(topic, {}))
 
     def last_ns(self, topic: str) -> int:
-        """Return the time of reception of the last lost message of a topic, ns; -1 = no loss."""
+        """Return the time of reception of the last lost message of a topic, ns; -1 = no loss.
+
+        Losses of an unknown number are left out: those messages were never received.
+        """
         with self._mutex:
             losses = [
                 s.loss
@@ -137,10 +139,10 @@ class LossLog:
         return max((loss.last_ns for loss in timed), default=-1)
 
     def unsaved(self) -> list[Loss]:
-        """Return the losses that are not stored yet."""
+        """Return the losses that are not stored yet; ``saved`` is to be called with each."""
         with self._mutex:
             unsaved = [s for ranges in self._loss_ranges.values() for s in ranges if not s.saved]
-            return [loss_range.tell() for loss_range in unsaved]
+            return [loss_range.to_store() for loss_range in unsaved]
 
     def saved(self, loss: Loss) -> None:
         """Mark a loss as stored; one that has grown since stays unsaved."""
@@ -148,5 +150,5 @@ class LossLog:
             ranges = self._loss_ranges[loss.topic, loss.kind]
             for loss_range in ranges:
                 loss_range.save(loss)
-            # Only the last two ranges can grow.
+            # So that memory stays bounded: a late loss of a removed range becomes a row of its own.
             ranges[:-2] = [loss_range for loss_range in ranges[:-2] if not loss_range.saved]

@@ -46,7 +46,7 @@ class BufferedMessage(NamedTuple):
     t: int
     """Time of reception, ns."""
     counter: int
-    """Position in the order of reception over all topics."""
+    """Position in the order of reception over all topics, from 0; it does not overflow."""
     wire: bytes
 
     @property
@@ -56,24 +56,28 @@ class BufferedMessage(NamedTuple):
 
 
 class MessageSource:
-    """The messages of one topic with the same connection header."""
+    """The messages of one topic with the same connection header.
+
+    The writing thread calls ``hold``, ``is_ripe`` and ``submit``. From ``submit`` on the thread of
+    the TableMaker calls ``lengths`` and what notes a result.
+    """
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.topic = connection.topic
         self.handle: Handle | None = None  # for writing, once the table exists
-        self.error = ""  # reason why its messages cannot be stored
+        self.error = ""  # reason why its messages cannot be stored; '' = none
         self.waiting: deque[BufferedMessage] = deque()  # messages received before the table existed
-        self.submitted = False  # whether the table is being made
+        self.submitted = False  # whether the table is, or was, being made
         self.told = False  # whether an attempt to make the table failed and was logged
         self.conflicts = 0  # number of attempts that ended with a schema conflict
         self.has_header = starts_with_header(connection.definition_text)
         self.tells_places = tells_places(connection)  # whether it has poses of the robot
-        self._since = 0.0
-        self._seen = 0
+        self._since = 0.0  # when the first message was held, monotonic clock, s
+        self._seen = 0  # number of messages that were held
         self._seen_bytes = 0
         self._last_ns = 0  # time of reception of the last message
-        self._span_ns = 0  # time from the first to the last message
+        self._span_ns = 0  # time from the first to the last message, without changes of the clock
 
     def hold(self, item: BufferedMessage) -> None:
         """Keep a message until the table exists."""
@@ -102,7 +106,7 @@ class MessageSource:
         self.conflicts += 1
 
     def tell(self) -> bool:
-        """Note that people know that it waits for its table; say whether they did not before."""
+        """Note that it is logged that it waits for its table; return whether it was not before."""
         first = not self.told
         self.told = True
         return first
@@ -117,10 +121,11 @@ class MessageSource:
         return lengths_for(self._seen, self._seen_bytes, self._watched_sec())
 
     def _watched_sec(self) -> float:
+        """Return the time over which the held messages were received, s."""
         # Messages that waited for the store or come from a snapshot are handed on in a moment: for
         # them only the times of reception show the rate.
-        here = time.monotonic() - self._since if self._seen else 0.0
-        return max(here, self._span_ns / SECOND_NS)
+        held_sec = time.monotonic() - self._since if self._seen else 0.0
+        return max(held_sec, self._span_ns / SECOND_NS)
 
 
 class Feed(NamedTuple):
@@ -145,6 +150,7 @@ class Buffer:
         self._half = (bound_bytes or UNBOUNDED_BYTES) // 2
         self._items: deque[BufferedMessage] = deque()
         self.held_bytes = 0
+        """Memory of the queued messages and of those that were taken and not released, bytes."""
         self._closed = False
         self._changed = threading.Condition()
 
@@ -162,7 +168,10 @@ class Buffer:
         return dropped
 
     def wait_for_room(self, nbytes: int) -> None:
-        """Wait until a message of this size fits and most of the buffer is free for live ones."""
+        """Wait until a message of this size fits into an eighth of the buffer, or it is empty.
+
+        So most of it stays free for live messages, while those of a snapshot are put.
+        """
         with self._changed:
             while self.held_bytes and self.held_bytes + nbytes + ITEM_BYTES > self._bound // 8:
                 self._changed.wait(0.05)
@@ -188,7 +197,7 @@ class Buffer:
         return taken
 
     def hold(self, items: Sequence[BufferedMessage]) -> None:
-        """Count messages that are in memory again after they were released."""
+        """Count messages that are in memory again after they were released; they are not queued."""
         with self._changed:
             self.held_bytes += sum(item.nbytes for item in items)
 

@@ -42,7 +42,11 @@ class SettingsFile(NamedTuple):
 
 
 def read_config(name: str) -> SettingsFile:
-    """Read a settings file. An empty name, which a launch file may pass, means no file."""
+    """Read a settings file. An empty name, which a launch file may pass, means no file.
+
+    Raises:
+        InvalidOption: The file cannot be read, or its text cannot be used.
+    """
     if not name:
         return SettingsFile()
     from cassandra_ros.recording.topic_settings import read_settings
@@ -55,7 +59,11 @@ def read_config(name: str) -> SettingsFile:
 
 
 def read_where(text: str) -> tuple[str, str]:
-    """Read 'TOPIC: CONDITION'. Return a pattern of topics and the condition."""
+    """Read 'TOPIC: CONDITION'. Return a pattern of topics and the condition.
+
+    Raises:
+        InvalidOption, InvalidQuery: The text is not of this form, or the condition is not valid.
+    """
     from cassandra_ros.recording.topic_settings import check_condition
 
     topic, colon, condition = (word.strip() for word in text.partition(":"))
@@ -65,7 +73,7 @@ def read_where(text: str) -> tuple[str, str]:
 
 
 def read_rate_limit(text: str) -> tuple[str, float]:
-    """Read '[TOPIC:]HZ'. Return a pattern of topics and the rate, Hz."""
+    """Read '[TOPIC:]HZ'. Return a pattern of topics and the rate, Hz, or raise InvalidOption."""
     topic, _, rate = text.rpartition(":")
     return check_pattern(topic.strip() or ".*"), read_rate(rate.strip())
 
@@ -76,7 +84,7 @@ def read_duration(value: object) -> float:
 
 
 def read_rate(value: object) -> float:
-    """Read a rate in messages per second, above 0 and at most MAX_RATE_HZ."""
+    """Read messages per second, above 0 and at most MAX_RATE_HZ, or raise InvalidOption."""
     try:
         rate = float(value) if isinstance(value, (int, float, str)) else 0.0
     except ValueError:
@@ -89,7 +97,7 @@ def read_rate(value: object) -> float:
 
 
 def read_label(text: str) -> tuple[str, str]:
-    """Read KEY=VALUE; raises InvalidOption."""
+    """Read KEY=VALUE; raises InvalidOption, or InvalidName if a label cannot be stored."""
     key, equals, value = text.partition("=")
     if not (key.strip() and equals):
         raise InvalidOption(f"{text!r:.80} is not a label: give KEY=VALUE, as site=lab")
@@ -98,7 +106,11 @@ def read_label(text: str) -> tuple[str, str]:
 
 
 def read_ttl(value: object) -> int:
-    """Read a time to live: seconds, rounded up, 0 = never; or a text with s, m, h, d or w."""
+    """Read a time to live and return it in s; 0 = messages stay for ever.
+
+    A number is seconds, whole ones only. A text is seconds, or has s, m, h, d or w; it is rounded
+    up to seconds. Other values raise InvalidOption.
+    """
     if value == "0":
         return 0
     return check_ttl(math.ceil(read_duration(value)) if isinstance(value, str) else value)

@@ -56,8 +56,11 @@ END_SEC = 10.0
 
 
 class _PoseMessage(NamedTuple):
+    """A message with poses that waits to be indexed."""
+
     source: MessageSource
     t: int
+    """Time of reception, ns."""
     wire: bytes
 
 
@@ -65,7 +68,8 @@ class LiveTopic:
     """The last messages of one topic in memory, with the methods of a stored topic.
 
     Args:
-        before: Messages that were stored before, which belong to the topic, too.
+        before: Messages that were stored before, which belong to the topic, too. ``drop`` keeps
+            them.
     """
 
     def __init__(self, name: str, node: str, before: Sequence[Row] = ()) -> None:
@@ -74,7 +78,9 @@ class LiveTopic:
         self._tables: dict[str, Table] = {row.table.name: row.table for row in before}
         self._before = list(before)
         self._rows: list[Row] = []
+        """The other messages, by time of reception."""
         self._times: list[int] = []
+        """Their times, ns."""
 
     @property
     def tables(self) -> Sequence[Table]:
@@ -82,7 +88,7 @@ class LiveTopic:
         return list(self._tables.values())
 
     def add(self, taken: _PoseMessage) -> None:
-        """Add a message."""
+        """Add a message; one whose definition cannot be used is left out."""
         connection = taken.source.connection
         name = str(connection_kind(connection))
         table = self._tables.get(name)
@@ -118,7 +124,10 @@ class LiveTopic:
         nodeID: str | None = None,
         run: Writers = None,
     ) -> dict[str, Any]:
-        """Return fields of the messages in [key, to_key] as numpy arrays."""
+        """Return fields of the messages in [key, to_key] as numpy arrays; of all robots and runs.
+
+        nodeID and run are there because a stored topic has them: here all messages are of one.
+        """
         read = Read(range_between(key, to_key))
         return as_arrays(gather_fields(self, fields, None, lambda columns: self.read(read)))
 
@@ -158,7 +167,7 @@ class PlaceKeeper:
         losses: LossLog,
         wanted: bool = True,
     ) -> None:
-        self._store, self._whose, self._losses, self._wanted = store, whose, losses, wanted
+        self._store, self._whose, self._losses, self._is_wanted = store, whose, losses, wanted
         self._taken: deque[_PoseMessage] = deque()
         # Each is changed by one thread alone.
         self._came = self._gone = 0
@@ -166,18 +175,23 @@ class PlaceKeeper:
         self._ending = threading.Event()
         self._gave_up = False
         self._thread: threading.Thread | None = None
+        # From here on only that thread uses what follows.
         self._topics: dict[str, LiveTopic] = {}
+        """Topics of which messages were taken, with those that later poses still need."""
         self._sources: dict[str, MessageSource] = {}
-        """Last connection of each topic, which has its table."""
+        """Source of the last message of each topic: its handle names the table of the topic."""
         self._first: dict[str, int] = {}
         """Time from which on all poses of a topic are indexed, ns."""
-        self._said: set[tuple[str, str]] = set()
-        """Tables and robots for which the index has an indexed time range."""
-        self._wrong = False
+        self._indexed: set[tuple[str, str]] = set()
+        """Tables and robots for which this object has stored an indexed time range."""
+        self._is_wrong = False
         """Whether these time ranges have become wrong and must be deleted."""
-        self._tf: TfVisits | None = None
-        self._told: dict[str, TopicVisits] = {}
+        self._tf_visits: TfVisits | None = None
+        """Visits of the robots in tf; None = to be made, with the next poses."""
+        self._topic_visits: dict[str, TopicVisits] = {}
+        """Visits by the poses of other topics, by name of the topic."""
         self._latest = 0
+        """Time of the latest message, ns."""
         self._noted = self._read_to = -1
         """Times up to which all poses are indexed, and were read, ns; -1 = no pose yet."""
 
@@ -187,7 +201,7 @@ class PlaceKeeper:
         Call it for sources with ``tells_places`` only, in the order of reception, by one thread at
         a time.
         """
-        if not self._wanted or self._gave_up or self._ending.is_set():
+        if not self._is_wanted or self._gave_up or self._ending.is_set():
             return
         self._came += len(wire)
         if self._came - self._gone > MAX_HELD_BYTES:
@@ -199,6 +213,7 @@ class PlaceKeeper:
             self._begin()
 
     def _begin(self) -> None:
+        """Start the thread, with the first message: most recordings have no poses."""
         thread = threading.Thread(target=self._run, name="recorder-places", daemon=True)
         try:
             thread.start()
@@ -226,6 +241,7 @@ class PlaceKeeper:
             self._taken.clear()
 
     def _try_to_note(self, *, last: bool) -> None:
+        """Index what can be indexed; if that fails, the next call does so from the same time on."""
         if not is_there(self._store):
             return
         try:
@@ -234,7 +250,12 @@ class PlaceKeeper:
             _log.info("places are indexed later, or found without the index: %s", exc)
 
     def _note(self, last: bool) -> None:
-        self._sort()
+        """Index the poses up to LONGEST_GAP_NS before the latest one; with ``last`` up to that.
+
+        In this order: what has become wrong is deleted first, and ``_noted`` grows only when all is
+        stored.
+        """
+        self._add_taken()
         high = self._latest if last else self._latest - LONGEST_GAP_NS
         low = min(self._first.values(), default=0) if self._noted < 0 else self._noted + 1
         moving = [n for n, topic in self._topics.items() if n != TF_STATIC and topic.tables]
@@ -242,6 +263,7 @@ class PlaceKeeper:
             return  # a table is still being made
         self._take_back(moving)
         for name in moving:
+            # The next poses need the transforms and the path before them.
             self._gone += self._topics[name].drop(self._noted - 2 * LONGEST_GAP_NS)
         if high < low:
             return  # no pose to index
@@ -251,7 +273,7 @@ class PlaceKeeper:
             visits += self._visits(name, low, high)
             placed += self._indexed_poses(name, high)
         self._store.result().keyspace.place_index.put(visits, placed, self._ttl(moving))
-        self._said.update((poses.table, poses.robot) for poses in placed)
+        self._indexed.update((poses.table, poses.robot) for poses in placed)
         self._noted, self._read_to = high, self._latest
 
     def _take_back(self, moving: Sequence[str]) -> None:
@@ -260,22 +282,21 @@ class PlaceKeeper:
         for name in moving:
             table, first = self._table(name), self._first[name]
             lost = self._losses.last_ns(name)
-            self._wrong |= first <= lost <= self._noted
-            said = {robot for where, robot in self._said if where == table}
-            if not said <= (index.noted(table, *self._whose) if said else set()):
-                self._first[name] = max(first, self._noted + 1)  # poses were deleted
-                self._said = {
-                    table_and_robot for table_and_robot in self._said if table_and_robot[0] != table
-                }
+            self._is_wrong |= first <= lost <= self._noted
+            robots = {robot for where, robot in self._indexed if where == table}
+            if robots and not robots <= index.noted(table, *self._whose):
+                # Somebody has deleted poses, and with them this part of the index.
+                self._first[name] = max(first, self._noted + 1)
+                self._indexed -= {(table, robot) for robot in robots}
             self._first[name] = max(self._first[name], lost + 1)
-        if self._wrong:
-            for table in {table for table, _ in self._said}:
+        if self._is_wrong:
+            for table in {table for table, _ in self._indexed}:
                 index.withdraw(table, run=self._whose)
-            self._said.clear()
-            self._wrong = False
+            self._indexed.clear()
+            self._is_wrong = False
 
-    def _sort(self) -> None:
-        """Add the taken messages to their topics."""
+    def _add_taken(self) -> None:
+        """Add the taken messages to their topics; begin anew where they change earlier poses."""
         while self._taken:
             taken = self._taken.popleft()
             name = taken.source.topic
@@ -287,7 +308,7 @@ class PlaceKeeper:
                 # The index so far is right for the static transforms before this message.
                 self._begin_anew(self._noted)
             elif taken.t <= self._noted:  # a clock went back: poses around it are not in memory
-                self._wrong = True
+                self._is_wrong = True
                 self._begin_anew(self._latest)
             elif taken.t <= self._read_to:
                 self._begin_anew(self._noted)
@@ -296,10 +317,13 @@ class PlaceKeeper:
             self._latest = max(self._latest, taken.t)
 
     def _begin_anew(self, noted: int) -> None:
-        """Index the poses after a time, ns, again: those read so far have become wrong."""
-        self._tf, self._noted = None, noted
+        """Go on with the poses after ``noted``, ns: what was computed so far is wrong for them.
+
+        Earlier poses stay as they are, indexed or not.
+        """
+        self._tf_visits, self._noted = None, noted
         self._first = {name: max(t, noted + 1) for name, t in self._first.items()}
-        self._told.clear()
+        self._topic_visits.clear()
 
     def _stored_statics(self) -> list[Row]:
         """Return the stored static transforms of the robot: queries use the last of all."""
@@ -310,6 +334,11 @@ class PlaceKeeper:
         return list(topic.rows(nodeID=self._whose.node))
 
     def _find(self, name: str) -> LiveTopic:
+        """Return a topic for the visits; static transforms may all have been stored before.
+
+        Raises:
+            TopicNotFound: No message of it was taken.
+        """
         if name == TF_STATIC and name not in self._topics:
             statics = self._stored_statics()
             if statics:
@@ -319,26 +348,32 @@ class PlaceKeeper:
         return self._topics[name]
 
     def _visits(self, name: str, low: int, high: int) -> list[VisitRow]:
+        """Return the visits by the poses of a topic in [low, high], ns."""
         if name == TF:
-            if self._tf is None:
-                self._tf = TfVisits(self._find, self._whose)
-            return list(self._tf.visits(low, high))
-        if name not in self._told:
-            self._told[name] = TopicVisits(self._find, name, self._whose)
-        return list(self._told[name].visits(self._table(name), low, high))
+            if self._tf_visits is None:
+                self._tf_visits = TfVisits(self._find, self._whose)
+            return list(self._tf_visits.visits(low, high))
+        if name not in self._topic_visits:
+            self._topic_visits[name] = TopicVisits(self._find, name, self._whose)
+        return list(self._topic_visits[name].visits(self._table(name), low, high))
 
     def _indexed_poses(self, name: str, high: int) -> list[IndexedPoses]:
-        notes = self._tf if name == TF else self._told[name]
-        if notes is None:
+        """Return the entries that say that the poses of a topic up to ``high``, ns, are indexed.
+
+        Call it after ``_visits``.
+        """
+        visits = self._tf_visits if name == TF else self._topic_visits[name]
+        if visits is None:
             return []
-        return notes.placed(self._table(name), self._first[name], high)
+        return visits.placed(self._table(name), self._first[name], high)
 
     def _table(self, name: str) -> str:
+        """Return the name of the table of a topic; '' = it has none yet."""
         handle = self._sources[name].handle
         return "" if handle is None else handle.table.name
 
     def _ttl(self, names: Sequence[str]) -> int:
-        """Return the time to live of index entries, s; 0 = for ever."""
+        """Return the time to live of index entries, s: the longest of the topics; 0 = for ever."""
         handles = [self._sources[name].handle for name in names]
         ttls = [handle.table.metadata.ttl for handle in handles if handle is not None]
         return 0 if 0 in ttls else max(ttls, default=0)

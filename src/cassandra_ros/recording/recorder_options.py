@@ -46,9 +46,11 @@ class SpoolPlan(NamedTuple):
 
     folder: SpoolFolder
     keyspace: str = ""
+    """Keyspace of the store; '' = not known."""
     address: str = ""
     """Hosts and port of the store; '' = not known."""
     journal: bool = False
+    """Whether each message is written into the spool before it is stored."""
     drops_newest: bool = False
     """Whether a full spool drops new messages, not the oldest ones."""
 
@@ -327,7 +329,8 @@ class RecorderOptions:
     )
 
     keyspace: str = ""
-    """Keyspace of the store, for files of the spool; '' = that of the connected store."""
+    """Keyspace of the store, for files of the spool; '' = that of the store that the Recorder gets,
+    if it is connected already."""
     address: str = ""
     """Hosts and port of the store, as 'HOST[,HOST]:PORT', for files of the spool."""
     free_space: Callable[[], int | None] | None = None
@@ -361,7 +364,8 @@ class RecorderOptions:
         """Return the name of a run that starts now.
 
         Args:
-            number: Number of the run in the recording, from 0.
+            number: Number of the run in the recording, from 0; it is in the name with the option
+                split.
             name: Name to use instead of that in the options; '' = that of the options.
         """
         date = time.strftime("%Y-%m-%d-%H-%M-%S")

@@ -49,11 +49,11 @@ class RecordingStatus:
     quota: QuotaReport | None = None
     """Use of the maximum size of the store; None = it has none, or was not checked yet."""
     held_up: bool = False
-    """Whether the store does not answer now."""
+    """Whether the run has started in the store, and the store does not answer now."""
 
 
 class Rates:
-    """Messages and bytes per second between the last two calls of ``update``."""
+    """Messages and bytes per second between the last two calls of ``update``; 0 after the first."""
 
     def __init__(self) -> None:
         self._before: Mapping[str, tuple[int, int]] = {}

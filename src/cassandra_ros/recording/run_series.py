@@ -50,21 +50,23 @@ class _RunStart:
         self._make = make
         self._unwanted = False
         self._mutex = threading.Lock()
-        self.made: Recording | None = None
+        self.recording: Recording | None = None
+        """The run; None = it has not started yet, or could not."""
         self.problem = ""
+        """Reason why it could not be started; '' = none yet."""
         self._thread = threading.Thread(target=self._run, name="recorder-begin", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         try:
-            made = self._make()
+            recording = self._make()
         except CassandraRosError as exc:
             self.problem = str(exc)
             return
         with self._mutex:
-            self.made, unwanted = made, self._unwanted
+            self.recording, unwanted = recording, self._unwanted
         if unwanted:
-            made.close()
+            recording.close()
 
     def done(self, timeout_sec: float) -> bool:
         """Wait at most ``timeout_sec``; return whether the run has started or failed to."""
@@ -74,15 +76,16 @@ class _RunStart:
     def drop(self) -> None:
         """End the empty run once it has started, without waiting for it."""
         with self._mutex:
-            made, self._unwanted = self.made, True
-        if made is not None:
-            threading.Thread(target=made.close, name="recorder-drop", daemon=True).start()
+            recording, self._unwanted = self.recording, True
+        if recording is not None:
+            threading.Thread(target=recording.close, name="recorder-drop", daemon=True).start()
 
 
 class _EndedRun(NamedTuple):
-    """A run that has ended and whose messages are stored or lost; sorted by its number."""
+    """A run that has ended; its messages are stored, lost or in the spool."""
 
     order: int
+    """Position in the order in which runs ended: the objects are sorted by it."""
     run: Recording
     reports: Sequence[TopicReport]
 
@@ -96,7 +99,7 @@ class RunSeries:
         store: The catalog of the connected keyspace, or a future of it; see Recording.
         options: Options of the recorder.
         clock: Returns the time of reception, ns; raises ClockNotSet while it is unknown.
-        begun: Called with each run when it has started.
+        begun: Called with each run when it has started, before it gets messages.
     """
 
     def __init__(
@@ -110,7 +113,8 @@ class RunSeries:
         self._options, self._clock, self._begun = options, clock, begun
         self._settings = recording_settings(options)
         self._space = SpaceGuard(options.free_space, options.min_space)
-        self._look = 0.0
+        self._check_space_at = 0.0
+        """Monotonic time at which the free space is checked next, s."""
         self.events = EventWriter(self._store)
         self.filters = Filters(
             self._settings, options.node_id, self.events.put, lambda: self.writer
@@ -118,32 +122,46 @@ class RunSeries:
         self.current: Recording | None = None
         """The run that is being recorded."""
         self._topics: set[str] = set()
+        """Topics that are listed in the reports of each run."""
         self._number = 0
-        self._since = 0.0
-        self._retry = 0.0
-        self._repeated = 0
+        """Number of the next run of this recording."""
+        self._begun_at = 0.0
+        """Monotonic time from which the duration of the current run counts, s."""
+        self._split_at = 0.0
+        """Monotonic time before which no next run is started, because that has failed, s."""
+        self._repeated_messages = 0
         """Number of latched messages with which the current run began."""
         self._making: _RunStart | None = None
+        """Start of the next run, which may take several calls of ``poll``."""
         self._problem = ""
+        """Reason why the run that ended last could not be stored; '' = none."""
         self._name, self._labels = "", dict(options.labels)
-        self._ending: list[threading.Thread] = []
+        """Name and labels of the runs, as given to ``begin``; '' = as the options say."""
+        self._closers: list[threading.Thread] = []
+        """Threads that store runs which have ended by a split."""
         self._closing: list[Recording] = []
         """Runs that have ended and are still being stored."""
         self._order = itertools.count()
-        self._kept: list[_EndedRun] = []
+        self._ended: list[_EndedRun] = []
         """Runs of this recording that have ended and are not deleted."""
         self._removed: list[Sequence[TopicReport]] = []
+        """Reports of the runs that were deleted for --max-splits."""
         self._latched: dict[tuple[str, str], tuple[Mapping[str, str], bytes]] = {}
-        self._latching = threading.Lock()
+        """Last latched message, with its connection header, by topic and callerid."""
+        self._latched_lock = threading.Lock()
         self._mutex = threading.RLock()
+        """Guards the lists of runs, so that a report counts each run once. A thread that holds it
+        must not wait for the lock of a Recording: ``hand_over`` takes them in the other order."""
 
     def begin(self, name: str = "", labels: Mapping[str, str] | None = None) -> Recording:
         """Start the first run.
 
         Args:
             name: Name of the run; '' = as the options say.
+            labels: Labels of this and later runs, in addition to those of the options.
 
         Raises:
+            InvalidName: The name or a label cannot be stored.
             CassandraRosError: The run cannot be started in the store.
         """
         check_run_name(self._options.run_name(_LAST_RUN, name))
@@ -153,13 +171,15 @@ class RunSeries:
         self._expect_all(current)
         self._begun(current)
         self.current = current
-        self._since = time.monotonic()
+        self._begun_at = time.monotonic()
         return current
 
     def single(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
-        """Start a run outside the series for a snapshot.
+        """Start a run outside the series for a snapshot. The caller closes it.
 
         Args:
+            name: Name of the run; '' = as the options say.
+            labels: Labels of the run in addition to those of the options.
             restored: Number of messages in memory that will be stored in it first.
         """
         name = name or self._options.run_name(self._number)
@@ -168,6 +188,7 @@ class RunSeries:
         return recording
 
     def _new(self) -> Recording:
+        """Start the next run of the series."""
         name = self._options.run_name(self._number, self._name)
         return self._make(name, self._labels, limit=self._options.limit)
 
@@ -229,13 +250,14 @@ class RunSeries:
                 return  # the run is being ended
 
     def _keep_latched(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        """Keep a message with which later runs begin; a new publisher only up to MAX_LATCHED."""
         key = (topic, header.get("callerid", ""))
-        with self._latching:
+        with self._latched_lock:
             if key in self._latched or len(self._latched) < MAX_LATCHED:
                 self._latched[key] = header, wire
 
     def poll(self) -> bool:
-        """Split the current run if it is large or long enough.
+        """Split the current run if it is large or long enough; check the free space now and then.
 
         Returns:
             Whether the run is complete and, without the option split, the recording must end.
@@ -243,65 +265,73 @@ class RunSeries:
         options, current = self._options, self.current
         if current is None:
             return False
-        if time.monotonic() >= self._look:
-            self._look = time.monotonic() + SPACE_SEC
+        if time.monotonic() >= self._check_space_at:
+            self._check_space_at = time.monotonic() + SPACE_SEC
             current.refuse(self._space.refusal())
         full = bool(options.size) and current.received_bytes >= options.size
-        late = bool(options.duration) and time.monotonic() >= self._since + options.duration
+        late = bool(options.duration) and time.monotonic() >= self._begun_at + options.duration
         if not (full or late):
             return False
-        if options.split and current.received_messages <= self._repeated:
-            self._since = time.monotonic()  # paused: an empty run would take an earlier one's place
+        if options.split and current.received_messages <= self._repeated_messages:
+            # The recording is paused: an empty run would take an earlier one's place.
+            self._begun_at = time.monotonic()
             return False
         if options.split:
             self._split()
         return not options.split
 
     def _split(self) -> None:
+        """Start the next run and let it go on, unless the store is away or too far behind.
+
+        It waits for the start for BEGIN_SEC; a later call goes on with a start that takes longer.
+        """
         # Not under the mutex: the status must not wait for a slow store.
-        self._ending = [thread for thread in self._ending if thread.is_alive()]
+        self._closers = [thread for thread in self._closers if thread.is_alive()]
         old, now = self.current, time.monotonic()
-        if old is None or old.is_held_up or len(self._ending) >= MAX_ENDING or now < self._retry:
+        if old is None or old.is_held_up or now < self._split_at:
+            return
+        if len(self._closers) >= MAX_ENDING:
             return
         making = self._making = self._making or _RunStart(self._new)
         if not making.done(BEGIN_SEC):
             return
-        self._making, new = None, making.made
+        self._making, new = None, making.recording
         if new is None:
-            self._retry = time.monotonic() + RETRY_SEC
+            self._split_at = time.monotonic() + RETRY_SEC
             why = making.problem
             _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, why)
             return
         self._expect_all(new)
         self._begun(new)
-        with self._latching:
+        with self._latched_lock:
             latched = list(self._latched.items())
-        self._repeated = len(latched)
+        self._repeated_messages = len(latched)
         for (topic, _), (header, wire) in latched:
             new.received(topic, header, wire)
 
         def switch() -> None:
             with self._mutex:
                 self._closing.append(old)
-                self.current, self._since = new, now
+                self.current, self._begun_at = new, now
 
         old.hand_over(new, switch)
         args, name = (next(self._order), old), "recorder-split"
         thread = threading.Thread(target=self._close, args=args, name=name, daemon=True)
-        self._ending.append(thread)
+        self._closers.append(thread)
         thread.start()
 
     def _close(self, order: int, recording: Recording) -> None:
+        """Store a run that has ended by a split; delete the oldest ones above max_splits."""
         reports = recording.close()
         removed = []
         with self._mutex:
             self._closing.remove(recording)
             # A run may be stored before one that was recorded earlier.
-            bisect.insort(self._kept, _EndedRun(order, recording, reports))
+            bisect.insort(self._ended, _EndedRun(order, recording, reports))
             # The current run counts, too.
             most = self._options.max_splits - 1
-            while self._options.max_splits and len(self._kept) > most:
-                removed.append(self._kept.pop(0))
+            while self._options.max_splits and len(self._ended) > most:
+                removed.append(self._ended.pop(0))
             self._removed += [oldest.reports for oldest in removed]
         # Not under the mutex: see _split.
         for oldest in removed:
@@ -323,10 +353,14 @@ class RunSeries:
     def end(self, give_up: Callable[[], bool] = lambda: False) -> list[TopicReport]:
         """End the current run and return its report.
 
-        It waits until all messages of this and earlier runs are stored or lost.
+        It waits until all messages of this and earlier runs are stored or lost, or in the spool.
 
         Args:
-            give_up: Returns whether to stop waiting; messages not stored by then are lost.
+            give_up: Returns whether to stop waiting; messages not stored by then are lost, or stay
+                in the spool.
+
+        Returns:
+            The report; [] if no run is being recorded.
         """
         making, self._making = self._making, None
         if making is not None:
@@ -337,8 +371,8 @@ class RunSeries:
         # On another thread: this one must react to signals while the store does not answer.
         closing = threading.Thread(target=recording.close, name="recorder-close", daemon=True)
         closing.start()
-        tell_at: float = time.monotonic() + PATIENCE_SEC
-        while closing.is_alive() or any(thread.is_alive() for thread in self._ending):
+        tell_at = time.monotonic() + PATIENCE_SEC
+        while closing.is_alive() or any(thread.is_alive() for thread in self._closers):
             closing.join(0.05) if closing.is_alive() else time.sleep(0.05)
             if give_up():
                 then = "stay in the spool" if recording.spool else "are lost"
@@ -352,7 +386,7 @@ class RunSeries:
                 messages, nbytes = recording.waiting()
                 if messages and tell_at < math.inf:
                     tell_at = math.inf
-                    record = (
+                    fate = (
                         f"stay in the spool {recording.spool}" if recording.spool else "are dropped"
                     )
                     _log.warning(
@@ -360,15 +394,16 @@ class RunSeries:
                         "again (a second Ctrl-C)",
                         messages,
                         nbytes / 1e6,
-                        record,
+                        fate,
                     )
         # Returns or raises again what it did on that thread.
         return self._note_end(recording, recording.close())
 
     def _note_end(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
+        """Note that the current run has ended; return its reports."""
         self._problem = recording.problem
         with self._mutex:
-            self._kept.append(_EndedRun(next(self._order), recording, reports))
+            self._ended.append(_EndedRun(next(self._order), recording, reports))
             self.current = None
         return reports
 
@@ -385,7 +420,7 @@ class RunSeries:
     def reports(self) -> list[TopicReport]:
         """Return a report for each topic over all runs together."""
         with self._mutex:
-            reports = [*self._removed, *(kept.reports for kept in self._kept)]
+            reports = [*self._removed, *(ended.reports for ended in self._ended)]
             reports += [recording.reports() for recording in self._closing]
             if self.current is not None:
                 reports.append(self.current.reports())

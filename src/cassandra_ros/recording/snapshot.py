@@ -27,8 +27,6 @@ SNAPSHOTS_AT_ONCE = 4
 """Maximum number of snapshots that are written at the same time."""
 PAUSE_SEC = 0.05
 """Time that ``close`` waits for a run that is being started, s."""
-
-
 MAX_LATCHED = 1000
 """Maximum number of publishers whose latched message is kept although it is too old."""
 
@@ -44,13 +42,16 @@ class MessageRing:
     def __init__(self, bound: SnapshotBound, most_bytes: int) -> None:
         self._age_ns = int(bound.seconds * SECOND_NS)
         self._most = min(filter(None, (bound.nbytes, most_bytes)), default=2**63)
+        """Maximum memory, bytes."""
         self._timed = not bound.nbytes
+        """Whether the messages are bounded by time."""
         self._items: deque[StampedMessage] = deque()
-        # The last latched message of each publisher that is too old for _items: it is still valid.
+        # The last latched message of each publisher (topic, callerid) that is too old for _items:
+        # it is still valid.
         self._latched: dict[tuple[str, str], StampedMessage] = {}
         self._latched_bytes = 0
         self.nbytes = 0
-        """Memory of the messages, bytes."""
+        """Memory of all messages, also of the latched ones, bytes."""
         self.short = False
         """Whether fewer seconds than requested are kept, because the memory is full."""
 
@@ -63,7 +64,10 @@ class MessageRing:
         return (self._items[-1][3] - self._items[0][3]) / SECOND_NS if self._items else 0.0
 
     def add(self, message: StampedMessage) -> None:
-        """Append the newest message."""
+        """Append the newest message.
+
+        If its time is over 1 s before that of the last one, all earlier messages are dropped.
+        """
         t = message[3]
         if self._items and t < self._items[-1][3] - SECOND_NS:
             _log.warning(
@@ -90,21 +94,23 @@ class MessageRing:
             self._drop()
 
     def _drop(self) -> None:
+        """Drop the oldest message; keep it as the latched one of its publisher if it is latched."""
         message = self._items.popleft()
         topic, header, wire, _ = message
-        place = topic, header.get("callerid", "")
-        self._forget_latched(place)
+        publisher = topic, header.get("callerid", "")
+        self._forget_latched(publisher)
         size = len(wire) + ITEM_BYTES
-        few = len(self._latched) < MAX_LATCHED
+        is_latched = header.get("latching") == "1"
         # The other half stays for what is new, however much is latched.
-        if header.get("latching") == "1" and few and self._latched_bytes + size <= self._most // 2:
-            self._latched[place] = message
+        fits = self._latched_bytes + size <= self._most // 2
+        if is_latched and fits and len(self._latched) < MAX_LATCHED:
+            self._latched[publisher] = message
             self._latched_bytes += size
         else:
             self.nbytes -= size
 
-    def _forget_latched(self, place: tuple[str, str]) -> None:
-        older = self._latched.pop(place, None)
+    def _forget_latched(self, publisher: tuple[str, str]) -> None:
+        older = self._latched.pop(publisher, None)
         if older is not None:
             size = len(older[2]) + ITEM_BYTES
             self._latched_bytes -= size
@@ -113,8 +119,8 @@ class MessageRing:
     def content(self, topics: Collection[str]) -> list[StampedMessage]:
         """Return the messages of some topics in the order of reception.
 
-        The messages that publishers had latched before come first, with the time of the first
-        message.
+        The messages that publishers had latched before come first, with the time of the first of
+        the other messages, or with their own times if there are no others.
 
         Args:
             topics: Names of topics; empty = all.
@@ -142,10 +148,12 @@ class BeginRun(Protocol):
 
 @dataclass
 class _SnapshotRun:
-    """A snapshot that is being written."""
+    """A snapshot that is being written. Its methods are called under the lock of Snapshots."""
 
     topics: Collection[str]
+    """Names of topics; empty = all."""
     follows: bool
+    """Whether messages that are received from now on are stored in it, too."""
     recording: Recording | None = None
     late: deque[StampedMessage] = field(default_factory=deque)
     """Messages received before the run had started."""
@@ -162,7 +170,11 @@ class _SnapshotRun:
             self.recording.follow(message)
 
     def begin(self, recording: Recording) -> None:
-        """Hand on what came before the run had begun; what comes from now on goes to it at once."""
+        """Hand on what came before the run had begun; what comes from now on goes to it at once.
+
+        The messages of the ring are not among them: ``Recording.restore`` stores these meanwhile,
+        under the counters before theirs.
+        """
         while self.late:
             recording.follow(self.late.popleft())
         self.recording = recording
@@ -184,7 +196,7 @@ class Snapshots:
         most_bytes: Maximum memory in any case, bytes; 0 = no maximum.
         clock: Returns the time of reception, ns; raises ClockNotSet while it is unknown.
         filters: Filters that leave messages out.
-        begin: Starts a run.
+        begin: Starts a run; it may wait for the store.
     """
 
     def __init__(
@@ -199,8 +211,11 @@ class Snapshots:
         self._clock, self._filters, self._begin = clock, filters, begin
         self._counts = Counts(LossLog("", 0))
         self._writing: list[_SnapshotRun] = []
+        """The snapshots that are being written, also those whose run is being started."""
         self._threads: list[threading.Thread] = []
         self._mutex = threading.Lock()
+        """Guards the ring and ``_writing``: a message is in the ring when a snapshot takes it, or
+        the snapshot gets it from ``received``."""
         self._closing = threading.Event()
         self.reports: list[Sequence[TopicReport]] = []
         """Reports of the snapshots that were written."""
@@ -254,6 +269,7 @@ class Snapshots:
 
         Raises:
             InvalidOption: SNAPSHOTS_AT_ONCE snapshots are being written already.
+            CassandraRosError: The run cannot be started in the store.
         """
         writing, ends = _SnapshotRun(topics, after_sec > 0), time.monotonic() + after_sec
         with self._mutex:
@@ -290,6 +306,7 @@ class Snapshots:
         messages: list[StampedMessage],
         ends: float,
     ) -> None:
+        """Store the messages in the run, wait until it ends (monotonic clock, s), close it."""
         try:
             with self._mutex:
                 writing.begin(recording)
@@ -309,7 +326,10 @@ class Snapshots:
                     self.reports.append(reports)
 
     def abandon(self) -> None:
-        """Count messages that are not stored by now as lost, without waiting for the store."""
+        """Count messages that are not stored by now as lost, without waiting for the store.
+
+        With a spool they stay there; see Recording.abandon.
+        """
         with self._mutex:
             runs = list(self._writing)
             for writing in runs:
