@@ -41,7 +41,7 @@ class PlannedTopic:
 def plan_topics(
     catalog: Catalog, settings: RecordingSettings, types: Mapping[str, str]
 ) -> list[PlannedTopic]:
-    """Return the plan for each topic, sorted by name.
+    """Return the plan for each topic, sorted by name. A topic with several tables has the first.
 
     Args:
         types: Type by topic, as the master knows it; '' = the master does not know it.
@@ -51,7 +51,7 @@ def plan_topics(
     for topic, msg_type in sorted(types.items()):
         topic_settings = settings.of(topic)
         fmt = catalog.keyspace.new_tables.format_for(topic, format=topic_settings.format)
-        stored = [m for m in tables if m.topic == topic and m.format == fmt]
+        stored = [table for table in tables if table.topic == topic and table.format == fmt]
         plan.append(
             PlannedTopic(
                 topic,

@@ -84,6 +84,7 @@ class LiveTable:
 
     def __init__(self, connection: Connection) -> None:
         self.definition: Definition | None = None
+        """Definition of the messages; None = it cannot be used."""
         try:
             self.definition, _ = usable_definition(connection, FALLBACK_FORMAT)
             self.msg_type, self.name = connection.type, str(connection_kind(connection))

@@ -851,7 +851,7 @@ class Recording:
         try:
             if self._backlog is not None:
                 self._backlog.finish(end)
-            self._counts.keep({report.topic: report.waiting for report in reports})
+            self._counts.note_spooled({report.topic: report.waiting for report in reports})
         except (OSError, CassandraRosError) as exc:
             _log.error("the end of run %s cannot be written to the spool: %s", self.name, exc)
             self._end_counts()

@@ -87,7 +87,7 @@ class LeftRun:
         return (self.label.name if self.label else "") or self.folder.path.name
 
     def alive_ns(self) -> int:
-        """Return the last sign of life of its process, wall clock, ns."""
+        """Return the last sign of life of its process, wall clock, ns; 0 = not known."""
         times = []
         for path in self.folder.files():
             with suppress(OSError):
@@ -96,7 +96,7 @@ class LeftRun:
 
 
 def read_left(folder: RunFolder) -> LeftRun:
-    """Read label and end of a run that was left."""
+    """Read label and end of a run that was left. What cannot be read is said in ``problem``."""
     label, end, problem = None, None, ""
     files = folder.files()
     for path in files:
@@ -125,7 +125,8 @@ class Drained:
     messages: int = 0
     """Number of messages that are stored now."""
     lost: Counter[str] = field(default_factory=Counter)
-    """Number of messages by topic that could not be read or stored."""
+    """Number of messages by topic that could not be read or stored. Topic '' = not known; number
+    0 = not known."""
     stays: dict[str, str] = field(default_factory=dict)
     """Topics whose messages stay in the spool, and why: the reason may pass."""
     complete: bool = False
@@ -137,7 +138,11 @@ class Drain:
 
     Args:
         catalog: The store.
-        left_run: The run.
+        left_run: The run; its folder is locked by this process.
+
+    Raises:
+        SpoolError: The run cannot be read.
+        InvalidOption: Its settings cannot be used.
     """
 
     def __init__(self, catalog: Catalog, left_run: LeftRun) -> None:
@@ -145,23 +150,30 @@ class Drain:
             raise SpoolError(
                 f"the spool of run {left_run.name} cannot be drained: {left_run.problem}"
             )
-        self._catalog, self._space = catalog, catalog.keyspace
-        self._left, self._label = left_run, left_run.label
+        self._catalog, self._keyspace = catalog, catalog.keyspace
+        self._left_run, self._label = left_run, left_run.label
         self._settings: RecordingSettings = settings_from_json(left_run.label.settings)
         self._writers: dict[int, MessageWriter] = {}
+        """Writers by their writer ids."""
         self._handles: dict[tuple[int, Connection], Handle] = {}
+        """By writer id and connection; only of connections whose messages can be stored."""
         self._account = MessageAccount(left_run.folder)
-        self._read = _NumberRanges()
-        """Numbers of the messages that were read, as in their rows."""
+        self._read_numbers = _NumberRanges()
+        """Sequence numbers of the messages that were read."""
         self._missing: list[Missing] = []
-        """Messages that the files miss, as far as they were read since the last ``_remember``."""
+        """Messages that the files miss, as far as ``_store_losses`` has not stored them."""
         self._losses = LossLog(left_run.label.node, left_run.label.run)
-        self._done = Drained(left_run.name)
-        self._silent = False
+        """Losses that are not stored yet."""
+        self._drained = Drained(left_run.name)
+        """What was done so far."""
+        self._is_silent = False
+        """Whether the store has stopped answering, or the drain was stopped: then some messages
+        that were given to a writer are not stored, and their file must stay."""
         self._refusals = 0
         """Number of messages of the present file that the store refused."""
         self._stopped = threading.Event()
         self._last_counter = -1
+        """Largest counter of the messages that were read; -1 = none."""
 
     def stop(self) -> None:
         """End the drain soon; what is not stored by then stays in the spool."""
@@ -178,36 +190,39 @@ class Drain:
         """
         self._begin()
         try:
-            files = self._left.folder.files()
+            files = self._left_run.folder.files()
             for path in files:
                 if self._stopped.is_set():
-                    return self._done
+                    return self._drained
                 stays = self._store(path, progress)
-                if self._silent or self._stopped.is_set():
-                    return self._done
-                # The last file tells how the run ended.
-                if stays or (self._done.stays and path == files[-1]):
+                if self._is_silent or self._stopped.is_set():
+                    return self._drained
+                # With messages of any file the last one stays, too: it tells how the run ended.
+                if stays or (self._drained.stays and path == files[-1]):
                     self._keep_staying(path)
                 elif path != files[-1]:
-                    self._left.folder.delete_file(path, self._account.totals())
-            if not self._done.stays:
+                    self._left_run.folder.delete_file(path, self._account.totals())
+            if not self._drained.stays:
                 for missing_part in self._account.finish():
                     self._note(missing_part)
-                self._remember()
+                self._store_losses()
                 self._end()
         finally:
             for writer in self._writers.values():
                 with suppress(StoreUnavailable):
                     writer.close()
-        if not self._done.stays:
-            self._left.folder.remove()
-            self._done.complete = True
-        return self._done
+        if not self._drained.stays:
+            self._left_run.folder.remove()
+            self._drained.complete = True
+        return self._drained
 
     def _begin(self) -> None:
-        """Make the entry of the run, if it never reached the store."""
+        """Make the entry of the run, if it never reached the store.
+
+        Otherwise take robot, name and labels from it: they may have been changed since.
+        """
         label = self._label
-        runs = [run for run in self._space.registry.runs() if run.writer == label.run]
+        runs = [run for run in self._keyspace.registry.runs() if run.writer == label.run]
         if runs and all(run.node != label.node for run in runs):
             # The run has got another robot since.
             self._label = replace(label, node=runs[0].node)
@@ -216,10 +231,12 @@ class Drain:
             if run.node == self._label.node:
                 self._label = replace(self._label, name=run.name, labels=run.labels)
         if not runs:
-            self._space.side_tables.make()
-            self._space.registry.put_run(replace(self._run(), started=_time(label.begun_ns)))
+            self._keyspace.side_tables.make()
+            begun = _time(label.begun_ns)
+            self._keyspace.registry.put_run(replace(self._run_entry(), started=begun))
 
-    def _run(self) -> Run:
+    def _run_entry(self) -> Run:
+        """Return the run as it is listed in the store, without times and numbers of messages."""
         label = self._label
         return Run(
             label.node,
@@ -243,7 +260,7 @@ class Drain:
             try:
                 for segment_part in reader.parts():
                     rows = [
-                        row for row in segment_part.messages if row[0].topic in self._done.stays
+                        row for row in segment_part.messages if row[0].topic in self._drained.stays
                     ]
                     if rows:
                         segment.append(rows)
@@ -253,7 +270,7 @@ class Drain:
                 segment.close()
             # Its time of writing tells when a killed recorder was alive last.
             os.utime(kept, ns=(written.st_atime_ns, written.st_mtime_ns))
-            self._left.folder.note_settled(path, self._account.totals())
+            self._left_run.folder.note_settled(path, self._account.totals())
             kept.replace(path)
         except OSError as exc:
             _log.warning("%s stays in the spool with all its messages: %s", path, exc)
@@ -262,43 +279,44 @@ class Drain:
         """Store the messages of one file; return whether some of them stay in it."""
         reader = SegmentReader(path)
         writer = self._writer((reader.label() or self._label).writer)
-        totals, stored_blocks = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
+        totals, stored_blocks = reader.totals(), _StoredBlocks(self._keyspace, writer.writer_id)
+        # By id of a connection, which the reader keeps; None = its messages are not stored.
         handles: dict[int, Handle | None] = {}
-        number, self._refusals = 0, 0
+        count, self._refusals = 0, 0
         for segment_part in self._account.parts(reader):
             self._note(segment_part)
             for connection, t_ns, counter, wire in segment_part.messages:
-                self._read.add(writer.writer_id << COUNTER_BITS | counter)
+                self._read_numbers.add(writer.writer_id << COUNTER_BITS | counter)
                 if id(connection) not in handles:
                     handles[id(connection)] = self._handle(writer, connection, reader, totals, wire)
                 handle = handles[id(connection)]
-                if connection.topic in self._done.stays:
+                if connection.topic in self._drained.stays:
                     continue
                 self._last_counter = max(self._last_counter, counter)
                 if handle is None:
                     self._miss(connection.topic, 1, t_ns, t_ns, LossKind.NO_TABLE)
                     continue
-                number += 1
+                count += 1
                 if not stored_blocks.has(handle, t_ns, counter, totals):
                     writer.write(handle, t_ns, counter, wire)
-            if self._silent or self._stopped.is_set():
+            if self._is_silent or self._stopped.is_set():
                 return False
             progress(len(segment_part.messages))
         writer.flush()
-        if not self._silent:
-            self._done.messages += number - self._refusals
-            self._remember()
+        if not self._is_silent:
+            self._drained.messages += count - self._refusals
+            self._store_losses()
         return any(
-            file_connection.topic in self._done.stays
+            file_connection.topic in self._drained.stays
             for file_connection in reader.connections.values()
         )
 
-    def _writer(self, number: int) -> MessageWriter:
-        writer = self._writers.get(number)
+    def _writer(self, writer_id: int) -> MessageWriter:
+        writer = self._writers.get(writer_id)
         if writer is None:
-            writer = self._writers[number] = MessageWriter(
-                self._space,
-                number,
+            writer = self._writers[writer_id] = MessageWriter(
+                self._keyspace,
+                writer_id,
                 format=self._settings.default.format,
                 node=self._label.node,
                 ttl=self._settings.default.ttl,
@@ -308,13 +326,17 @@ class Drain:
         return writer
 
     def _on_refusal(self, topic: str, messages: int, error: CassandraRosError) -> None:
+        """Note messages that a writer has given up; called on any thread, at the latest by flush.
+
+        They stay in the spool if the store did not answer, or denied access. Others are lost.
+        """
         causes = error, error.__cause__
         if self._stopped.is_set() or any(isinstance(exc, StoreUnavailable) for exc in causes):
-            self._silent = True
+            self._is_silent = True
             return
         self._refusals += messages
         if any(map(is_denied, causes)):
-            self._done.stays[topic] = str(error)
+            self._drained.stays[topic] = str(error)
             return
         first = getattr(error, "first_ns", 0) or self._label.begun_ns
         last = getattr(error, "last_ns", 0) or first
@@ -328,16 +350,24 @@ class Drain:
         totals: Mapping[int, TopicTotal],
         wire: bytes,
     ) -> Handle | None:
-        if connection.topic in self._done.stays:
+        """Return the handle of a connection, whose table is made if it is missing.
+
+        Args:
+            totals: Messages in the file by channel id, of which a table's lengths are computed.
+            wire: A message of the connection: its size is taken for that of all.
+
+        Returns:
+            None = its messages are not stored: they stay (see ``stays``), or are lost.
+
+        Raises:
+            StoreUnavailable, AccessDenied: Nothing can be stored now.
+        """
+        if connection.topic in self._drained.stays:
             return None
         key = (writer.writer_id, connection)
         if key not in self._handles:
-            mine = [
-                n
-                for n, file_connection in reader.connections.items()
-                if file_connection == connection
-            ]
-            total = next((totals[n] for n in mine if n in totals), TopicTotal(1, 0, 0))
+            channels = [n for n, other in reader.connections.items() if other == connection]
+            total = next((totals[n] for n in channels if n in totals), TopicTotal(1, 0, 0))
             seconds = (total.last_ns - total.first_ns) / SECOND_NS
             lengths = lengths_for(total.count, total.count * len(wire), seconds)
             try:
@@ -348,12 +378,15 @@ class Drain:
                 _log.error("topic %s cannot be stored: %s", connection.topic, exc)
                 return None
             except CassandraRosError as exc:
-                self._done.stays[connection.topic] = str(exc)
+                self._drained.stays[connection.topic] = str(exc)
                 return None
         return self._handles[key]
 
     def _connect(self, writer: MessageWriter, connection: Connection, lengths: Lengths) -> Handle:
-        """Return a handle; try again while other clients change the table or hold the lock."""
+        """Return a handle; try again while other clients change the table or hold the lock.
+
+        Raises what ``table_maker.connect`` raises.
+        """
         for _ in range(MAX_CONFLICTS - 1):
             try:
                 return connect(writer, connection, lengths, self._settings)
@@ -363,9 +396,9 @@ class Drain:
         return connect(writer, connection, lengths, self._settings)
 
     def _note(self, segment_part: SegmentPart) -> None:
-        """Note what is damaged and what is missing."""
+        """Log what is damaged, and note what is missing for ``_store_losses``."""
         if segment_part.damage:
-            _log.warning("run %s: %s", self._left.name, segment_part.damage)
+            _log.warning("run %s: %s", self._left_run.name, segment_part.damage)
         self._missing += segment_part.missing
 
     def _miss(
@@ -376,12 +409,12 @@ class Drain:
         last_ns: int,
         kind: LossKind = LossKind.SPOOL_DAMAGED,
     ) -> None:
-        """Count messages that cannot be stored."""
-        self._done.lost[topic] += messages
+        """Count messages that cannot be stored; topic '' = not known, messages 0 = not known."""
+        self._drained.lost[topic] += messages
         if topic:
             self._losses.add(topic, kind, messages, first_ns, last_ns, "")
 
-    def _remember(self) -> None:
+    def _store_losses(self) -> None:
         """Store the losses found so far: the file that tells them may be deleted next."""
         for topic, messages, first, last in self._missing:
             lost = messages - self._stored_of(topic, first, last) if messages else 0
@@ -389,11 +422,11 @@ class Drain:
                 self._miss(topic, lost, first, last)
         self._missing.clear()
         for loss in self._losses.unsaved():
-            self._space.registry.put_loss(loss)
+            self._keyspace.registry.put_loss(loss)
         self._losses = LossLog(self._label.node, self._label.run)
 
     def _stored_of(self, topic: str, first_ns: int, last_ns: int) -> int:
-        """Return how many messages of a time range the recorder has stored, and no file has.
+        """Return how many messages of a time range are stored that were not read from a file.
 
         Those of a journal are usually stored before the recorder is killed.
         """
@@ -403,16 +436,16 @@ class Drain:
         stored = 0
         for table in tables:
             time_range = TimeRange() if table.metadata.own_time else TimeRange(first_ns, last_ns)
-            for row in self._space.rows.read(
+            for row in self._keyspace.rows.read(
                 [table], Read(time_range, whose, columns=lambda _: ())
             ):
                 is_there = first_ns <= row.received <= last_ns
-                stored += is_there and not self._read.has(row.position.seq)
+                stored += is_there and not self._read_numbers.has(row.position.seq)
         return stored
 
     def _end(self) -> None:
         """Store how the run ended."""
-        end, registry, label = self._left.end, self._space.registry, self._label
+        end, registry, label = self._left_run.end, self._keyspace.registry, self._label
         if end is None:
             self._note_gap()
             registry.put_heartbeat(label.run, label.node, interrupted=True)
@@ -425,7 +458,7 @@ class Drain:
         lost = Counter(end.lost) + missing
         del lost[""]
         ended = _time(end.ended_ns)
-        registry.put_run(replace(self._run(), stored=stored, lost=dict(lost), ended=ended))
+        registry.put_run(replace(self._run_entry(), stored=stored, lost=dict(lost), ended=ended))
 
     def _missing_of_all_drains(self, end: RunEnd) -> Counter[str]:
         """Return the number of messages by topic that this drain and earlier ones have lost.
@@ -433,19 +466,19 @@ class Drain:
         Earlier ones have stored their losses and deleted the files. The recorder's own losses are
         stored, too, and are counted in the end of the run.
         """
-        topics = {*end.stored, *end.lost, *self._done.lost}
-        told: Counter[str] = Counter()
-        for loss in self._space.registry.losses(sorted(topics)) if topics else ():
+        topics = {*end.stored, *end.lost, *self._drained.lost}
+        stored_losses: Counter[str] = Counter()
+        for loss in self._keyspace.registry.losses(sorted(topics)) if topics else ():
             if loss.writer == self._label.run:
-                told[loss.topic] += loss.count
-        missing = Counter(self._done.lost)
-        for topic, count in told.items():
+                stored_losses[loss.topic] += loss.count
+        missing = Counter(self._drained.lost)
+        for topic, count in stored_losses.items():
             missing[topic] = max(missing[topic], count - end.lost.get(topic, 0))
-        return +missing
+        return +missing  # without topics that miss nothing
 
     def _note_gap(self) -> None:
-        """Tell what may be missing after the last message of a killed recorder."""
-        label, alive = self._label, self._left.alive_ns()
+        """Store and log what may be missing after the last message of a killed recorder."""
+        label, alive = self._label, self._left_run.alive_ns()
         totals = self._account.totals()
         ends = [total.last_ns for total in totals.values()]
         last = max(ends, default=label.begun_ns)
@@ -454,12 +487,12 @@ class Drain:
         for topic, total in totals.items():
             low = min(total.last_ns, MAX_NS)
             loss = Loss(topic, label.node, label.run, LossKind.KILLED, low, until, 0)
-            self._space.registry.put_loss(loss)
+            self._keyspace.registry.put_loss(loss)
         # Before the files are deleted: after a kill in between the next start tells it again.
         _log.warning(
             "run %s was not ended: its last sign of life was at %s, the last message in the spool "
             "has number %d of the run; what came within a second after it is missing",
-            self._left.name,
+            self._left_run.name,
             f"{_time(max(last, alive)):%Y-%m-%dT%H:%M:%S.%fZ}",
             self._last_counter,
         )
@@ -490,20 +523,24 @@ class _NumberRanges:
 
 
 class _StoredBlocks:
-    """Which messages of a writer are in stored blocks.
+    """The messages of a writer that are in stored blocks, as far as those of one file may be.
 
     A row that is written again replaces itself. A block does not, if it begins with another message
     than before.
     """
 
     def __init__(self, space: Keyspace, writer: int) -> None:
-        self._space, self._writer = space, writer
+        self._keyspace, self._writer = space, writer
         self._seqs: dict[str, set[int]] = {}
+        """Sequence numbers by name of the table."""
 
     def has(
         self, handle: Handle, t_ns: int, counter: int, totals: Mapping[int, TopicTotal]
     ) -> bool:
-        """Return whether a message is stored; note that it is from now on."""
+        """Return whether a message is in a block; note that it is from now on.
+
+        In a table without blocks it may be written again: False.
+        """
         if not handle.table.packed:
             return False
         seqs = self._seqs.get(handle.table.name)
@@ -516,13 +553,14 @@ class _StoredBlocks:
         return False
 
     def _read(self, handle: Handle, totals: Mapping[int, TopicTotal]) -> set[int]:
+        """Read the numbers of the stored messages in the time range of the file."""
         first = min((total.first_ns for total in totals.values()), default=0)
         last = max((total.last_ns for total in totals.values()), default=MAX_NS)
         whose = Whose.of(handle.node, frozenset([self._writer]))
         has_own_time = handle.table.metadata.own_time  # the key is not a time of reception
         time_range = TimeRange() if has_own_time else TimeRange(first, last)
         read = Read(time_range, whose, columns=lambda table: ())
-        return {row.position.seq for row in self._space.rows.read([handle.table], read)}
+        return {row.position.seq for row in self._keyspace.rows.read([handle.table], read)}
 
 
 def _time(ns: int) -> datetime:

@@ -14,7 +14,7 @@ _U = TypeVar("_U")
 Store = Union[Catalog, "Future[Catalog]"]
 """The catalog of a connected keyspace, or a future of it."""
 NO_STORE = "the store did not answer before the recording ended"
-"""Reason of a loss."""
+"""Reason for which messages are lost."""
 
 
 def store_future(store: Store) -> Future[Catalog]:
@@ -27,7 +27,10 @@ def store_future(store: Store) -> Future[Catalog]:
 
 
 def then(first: Future[_T], work: Callable[[_T], _U]) -> Future[_U]:
-    """Return a future of what ``work`` returns for the result of ``first``, or of its error."""
+    """Return a future of what ``work`` returns for the result of ``first``, or of its error.
+
+    ``work`` is called on the thread that ends ``first``, or here if that is done.
+    """
     following: Future[_U] = Future()
 
     def finish(done: Future[_T]) -> None:
@@ -41,7 +44,7 @@ def then(first: Future[_T], work: Callable[[_T], _U]) -> Future[_U]:
 
 
 def is_there(store: Future[_T]) -> bool:
-    """Return whether a store is connected."""
+    """Return whether a store is connected, so that ``result`` neither waits nor raises."""
     return store.done() and store.exception() is None
 
 

@@ -40,9 +40,10 @@ MAX_CONFLICTS = 5
 The schema lock may be held by other clients for a while; a table of another kind stays a conflict.
 """
 TOGETHER = 32
-"""Maximum number of tables that are made under one lock: messages of these topics go on then."""
+"""Maximum number of tables that are made under one lock: the messages of all of them wait until the
+last one is made."""
 LAST_TRIES_SEC = 20.0
-"""How long tables are still attempted after the recording has ended, s."""
+"""How long tables are still tried to be made after the recording has ended, s."""
 
 
 class TableMaker:
@@ -53,6 +54,8 @@ class TableMaker:
             raises what the store raises.
         connect: Makes the table of a source, if it is missing; raises what the store raises.
         wake: Called when a source has got its handle or an error.
+
+    All three are called on the thread.
     """
 
     def __init__(
@@ -64,8 +67,10 @@ class TableMaker:
         self._prepare, self._connect, self._wake = prepare, connect, wake
         self._asked: queue.Queue[MessageSource | None] = queue.Queue()  # None: no more
         self.decided: deque[MessageSource] = deque()
-        """Sources that have got a handle or an error."""
+        """Sources that have got a handle or an error; the writing thread removes them."""
         self._deadline = math.inf
+        """Monotonic time after which a failed attempt is the last one, s; 0 = nobody waits for the
+        tables any more."""
         self._thread = threading.Thread(target=self._run, name="recorder-tables", daemon=True)
         self._thread.start()
 
@@ -78,7 +83,11 @@ class TableMaker:
         self._deadline = min(self._deadline, time.monotonic() + LAST_TRIES_SEC)
 
     def close(self, *, wait: bool = True) -> None:
-        """End the thread after the last queued source; without ``wait`` later, by itself."""
+        """End the thread after the last queued source; without ``wait`` later, by itself.
+
+        No source may be queued after it. With ``wait`` each source that was queued must have got
+        its handle or error: one that is tried again is queued again.
+        """
         if not wait:
             self._deadline = 0.0
         self._asked.put(None)
@@ -95,6 +104,7 @@ class TableMaker:
             self._make([source for source in sources if source is not None])
 
     def _make(self, sources: Sequence[MessageSource]) -> None:
+        """Make the tables of sources; queue those again that are to be tried again."""
         if len(sources) > 1:
             self._make_together(sources)
         for source in sources:
@@ -106,7 +116,7 @@ class TableMaker:
                 self._asked.put(source)
 
     def _make_together(self, sources: Sequence[MessageSource]) -> None:
-        """Make tables under one lock. Each source without a table tells its own error later."""
+        """Make tables under one lock. If that fails, ``_decide`` finds the error of each source."""
         try:
             self._prepare(sources)
         except CassandraRosError as exc:
@@ -140,7 +150,9 @@ class TableMaker:
 def connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, settings: RecordingSettings
 ) -> Handle:
-    """Return a handle to write the messages of a connection; raises as MessageWriter.connect does.
+    """Make the table of a connection, as its settings say, if it is missing. Return a handle of it.
+
+    Raises what MessageWriter.connect raises.
 
     Settings that do not fit are left out with an error in the log, so that the topic is recorded in
     any case: a key field that the type does not have, or format packed with a key that is not a
@@ -174,7 +186,7 @@ def make_together(
     for source in sources:
         topic_settings = settings.of(source.connection.topic)
         if not (topic_settings.key_part or topic_settings.index):
-            like = None if topic_settings == settings.default else _like(topic_settings)
+            like = None if topic_settings == settings.default else _metadata_like(topic_settings)
             tables.append(Asked(source.connection, *source.lengths(), topic_settings.format, like))
     writer.make_tables(tables)
 
@@ -182,12 +194,13 @@ def make_together(
 def _connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, settings: TopicSettings
 ) -> Handle:
+    """Make the table as the settings say, or by time of reception if their key does not fit."""
     open_as = partial(_open, writer, connection, lengths, format=settings.format)
     try:
-        return open_as(like=_like(settings))
+        return open_as(like=_metadata_like(settings))
     except (InvalidKey, InvalidName) as exc:
         _log.error("topic %s is kept by time of reception: %s", connection.topic, exc)
-        return open_as(like=_like(replace(settings, key_part="")))
+        return open_as(like=_metadata_like(replace(settings, key_part="")))
 
 
 def _open(
@@ -221,7 +234,11 @@ def differences(settings: TopicSettings, stored: TopicMetadata) -> list[str]:
     return texts
 
 
-def _like(settings: TopicSettings) -> TopicMetadata:
+def _metadata_like(settings: TopicSettings) -> TopicMetadata:
+    """Return settings in the form of metadata of a former table, see MessageWriter.connect.
+
+    Topic, type and definition come from the connection.
+    """
     return TopicMetadata(
         "",
         "",

@@ -53,6 +53,7 @@ class TopicReport:
     bytes: int
     """Serialised bytes received."""
     rate_hz: float
+    """Mean rate from the first to the last received message, Hz; 0 = not known."""
     unheard_sec: float = 0.0
     """Time in which messages were missed because the master was restarted, or a connection was
     broken, s."""
@@ -74,13 +75,17 @@ class TopicReport:
 
     @property
     def waiting(self) -> int:
-        """Number of messages that are to be stored and are neither stored nor lost yet."""
+        """Number of messages that are to be stored and are neither stored nor lost yet.
+
+        It may be negative, after ``Recording.abandon``: a message that was counted as lost may be
+        stored after all.
+        """
         lost = sum(n for kind, n in self.reasons.items() if kind not in _NEVER_CAME)
         done = self.stored + self.spooled + lost
         return self.received - self.left_out - self.paused - done
 
     def plus(self, later: TopicReport) -> TopicReport:
-        """Return the report of this and a later run together."""
+        """Return the report of this and a later run of the same topic together."""
         losses = dict(self.losses)
         for kind, total in later.losses.items():
             losses[kind] = losses[kind].plus(total) if kind in losses else total
@@ -123,16 +128,22 @@ def merge_reports(runs: Iterable[Sequence[TopicReport]]) -> list[TopicReport]:
 
 @dataclass
 class _TopicCount:
+    """The counts of one topic, changed under the lock of Counts."""
+
     types: set[str] = field(default_factory=set)
     received: int = 0
     nbytes: int = 0
     first: float = 0.0
     last: float = 0.0
+    """Times of reception of the first and the last message, monotonic clock, s; 0 = no message."""
     left_out: int = 0
     paused: int = 0
     warned: float = -REPORT_SEC
+    """Monotonic time at which a loss was logged last, s."""
     sequences: dict[str, _Sequence] = field(default_factory=dict)
+    """Sequence numbers by callerid of the publisher."""
     unheard: float = 0.0
+    """Time in which publishers may not have been heard, s."""
     spooled: int = 0
     past_gaps: int = 0
     """Number of missing messages of publishers that are not remembered any more."""
@@ -152,13 +163,16 @@ class _Sequence:
     """The values of ``header.seq`` of one publisher: missing values are messages not received."""
 
     last: int = 0
+    """Number of the last message."""
     feed: Feed | None = None
+    """Connection of the last message: over a new one a publisher may begin with any number."""
     mixed: bool = False
     """Whether the numbers are not those of one counter."""
     steps: int = 0
     leaps: int = 0
     """Number of steps that left numbers out."""
     missing: int = 0
+    """Number of numbers that were left out."""
 
     @property
     def gaps(self) -> int | None:
@@ -221,7 +235,7 @@ class Counts:
             self.total_messages += 1
 
     def attribute(self, topic: str, wire: bytes, feed: Feed) -> None:
-        """Record the connection and the sequence number of a received message."""
+        """Record the connection and the sequence number of a message, after ``received``."""
         source = feed.source
         with self._mutex:
             counted = self._topics[topic]
@@ -248,10 +262,10 @@ class Counts:
         detail: str = "",
         last: int | None = None,
     ) -> None:
-        """Count messages that will not be stored.
+        """Count messages that will not be stored; warn at most once in REPORT_SEC for a topic.
 
         Args:
-            messages: Number of messages; 0 = not known.
+            messages: Number of messages; 0 = not known, which is not logged here.
             t, last: Times of reception of the first and the last of them, ns; last None = t.
             detail: An explanation in addition to the kind; '' = none is needed.
         """
@@ -278,14 +292,16 @@ class Counts:
                 return 0
             return counted.received - counted.left_out - counted.paused
 
-    def keep(self, spooled: Mapping[str, int]) -> None:
-        """Note how many messages of topics the run has left in the spool."""
+    def note_spooled(self, spooled: Mapping[str, int]) -> None:
+        """Note how many messages by topic the run has left in the spool, when it has ended."""
         with self._mutex:
             for topic, count in spooled.items():
                 self._topics[topic].spooled = max(count, 0)
 
     def count_rest_as_lost(self, stored: Mapping[str, int], t: int) -> None:
-        """Count as lost the messages that still wait; call it once no request is pending.
+        """Count as lost the messages that still wait, at the end.
+
+        A message whose request is still pending may be stored afterwards and is then both.
 
         Args:
             stored: Number of messages by topic that the store acknowledged.

@@ -88,7 +88,10 @@ def recording_settings(options: RecorderOptions) -> RecordingSettings:
 
 
 def settings_as_json(settings: RecordingSettings) -> Mapping[str, Any]:
-    """Return settings as values of JSON, of which settings_from_json makes them again."""
+    """Return settings as values of JSON, of which settings_from_json makes them again.
+
+    Events are left out: they are for messages as they are received, and the values are for a drain.
+    """
     rules = [
         [[pattern, dict(values)] for pattern, values in topic_rules]
         for topic_rules in settings.rules
@@ -97,7 +100,10 @@ def settings_as_json(settings: RecordingSettings) -> Mapping[str, Any]:
 
 
 def settings_from_json(values: Mapping[str, Any]) -> RecordingSettings:
-    """Return the settings that settings_as_json returned as JSON."""
+    """Return the settings that settings_as_json returned as JSON, or raise InvalidOption.
+
+    Unknown names of settings are ignored: another release may have written them.
+    """
     try:
         rules = [
             [(pattern, _setting_values(rule)) for pattern, rule in topic_rules]
@@ -146,6 +152,7 @@ def _entries(content: Mapping[str, object], key: str, form: str) -> list[object]
 
 
 def _event(number: int, entry: object) -> WatchedEvent:
+    """Read the entry with this number, from 1, of the events; raises InvalidOption."""
     if not isinstance(entry, dict) or not {"name", "topic", "where"} <= set(entry):
         reason = f"entry {number} of events is not a mapping with name, topic and where"
         raise InvalidOption(f"{reason}: {entry!r:.80}")
@@ -164,6 +171,7 @@ def _event(number: int, entry: object) -> WatchedEvent:
 
 
 def _check_keys(number: int, entry: Mapping[object, object], keys: set[str]) -> None:
+    """Raise InvalidOption if an entry has a key that is not one of ``keys``."""
     for name in entry:
         if name not in keys:
             near = difflib.get_close_matches(str(name), keys, n=1)
@@ -172,6 +180,7 @@ def _check_keys(number: int, entry: Mapping[object, object], keys: set[str]) -> 
 
 
 def _rule(number: int, entry: object) -> Rule:
+    """Read the entry with this number, from 1, of the topics; raises InvalidOption."""
     if not isinstance(entry, dict) or "pattern" not in entry:
         raise InvalidOption(
             f"entry {number} of topics is not a mapping with a pattern: {entry!r:.80}"
@@ -185,7 +194,13 @@ def _rule(number: int, entry: object) -> Rule:
 
 
 def check_condition(value: object) -> str:
-    """Return a condition that can be parsed; its fields are checked with the first message."""
+    """Return a condition that can be parsed; its fields are checked with the first message.
+
+    Raises:
+        InvalidOption: It is not a text.
+        InvalidQuery: It cannot be parsed, or asks for what a message alone does not tell: EVENT,
+            NEAR, now().
+    """
     text = check_text("where", value, wanted="a condition, as 'linear.x > 0.5'")
     parsed = parse_condition(text)
     for leaf in leaves(parsed):
@@ -198,8 +213,8 @@ def check_condition(value: object) -> str:
             if isinstance(operand, Literal) and isinstance(operand.value, TimeNs):
                 reason = (
                     "now() would stay the time at which the recorder read this condition; KEY is "
+                    "the time of reception of each message, as in header.stamp > KEY - 1s"
                 )
-                reason += "the time of reception of each message, as in header.stamp > KEY - 1s"
                 raise InvalidQuery(text, operand.position, reason)
     return text
 
