@@ -357,7 +357,7 @@ def test_what_has_no_room_is_read_from_the_store(stage, caplog):
         stage.stored(header, numbered(n), stage.begin + n * 10 * MS)
     stage.flush()
     stage.subscribe(stage.begin + 10_000 * MS, bound=60_000, connected=published.is_set)
-    stage.history._look()
+    stage.history._check_written()
     assert stage.queue.recorded
     stage.listen(slow=0.0002)
     for n in range(1000, count):
@@ -375,7 +375,7 @@ def test_what_was_forgotten_and_never_stored_is_told(stage, caplog):
     header = fields()
     talk(stage, header, range(300), ())
     stage.subscribe(stage.begin + 3000 * MS, bound=40_000)
-    stage.history._look()
+    stage.history._check_written()
     for n in range(300, 700):  # the recorder has died, and the directory does not show it yet
         stage.live(header, numbered(n), stage.begin + n * 10 * MS)
     stage.listen()

@@ -16,9 +16,12 @@ MAX_RATE = 1e6
 
 
 class _State(NamedTuple):
+    """The state of a clock, replaced as a whole, so that it can be read without the lock."""
+
     at: int
     """Reading of the monotonic clock at which the time of the replay was ``t``, ns."""
     t: int
+    """Time of the replay, ns."""
     rate: float
     holds: frozenset[str]
     """Reasons for which the clock stands; empty = it runs."""
@@ -100,6 +103,7 @@ class Pace:
 
     @staticmethod
     def _at(state: _State, clock: int) -> int:
+        """Return the time of the replay at a reading of the monotonic clock, both ns."""
         if state.holds:
             return state.t
         return state.t + int((clock - state.at) * state.rate)

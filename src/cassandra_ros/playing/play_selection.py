@@ -121,7 +121,8 @@ def _is_readable(store: PlayedStore, topic: str) -> bool:
 class PublishedNames:
     """The names under which stored topics are published.
 
-    A topic that is remapped gets exactly the new name, without the prefix.
+    A topic that is remapped gets the new name without the prefix. A robot's name stands before the
+    new name, too, unless the whole published name is remapped.
 
     Raises:
         InvalidName: The prefix or a new name is not a valid name in ROS.
@@ -134,14 +135,18 @@ class PublishedNames:
             check_ros_name(name, "a remapped topic")
         if prefix:
             check_ros_name(_with_slash(self._prefix), "the prefix")
-        self._known: dict[tuple[str, str], str] = {}
+        self._names: dict[tuple[str, str], str] = {}
 
     def of(self, topic: str, source: str = "") -> str:
-        """Return the published name of a stored topic; ``source`` is a robot's name before it."""
+        """Return the published name of a stored topic.
+
+        Args:
+            source: Robot's name that stands before it; '' = none.
+        """
         key = (topic, source)
-        name = self._known.get(key)
+        name = self._names.get(key)
         if name is None:
-            name = self._known[key] = self._published_name(_with_slash(topic), source)
+            name = self._names[key] = self._published_name(_with_slash(topic), source)
         return name
 
     def _published_name(self, topic: str, source: str) -> str:

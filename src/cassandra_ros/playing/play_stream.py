@@ -37,8 +37,8 @@ from cassandra_ros.topics.overview.stored_ends import far_outside
 _log = logging.getLogger(__name__)
 
 _MOST_WINDOWS = 100
-"""Maximum number of windows that are searched for a message of a topic. If the first ones have
-none, the topic is advertised all the same."""
+"""Maximum number of windows that are searched for a message of a run and topic. A run that meets
+more is taken to have one, so that the topic is advertised."""
 
 
 _Timed = Tuple[int, PlayedRow]
@@ -121,11 +121,15 @@ class PlayStream:
             if reason:
                 _log.warning("the end, %s, %s", iso_time(end.ns), reason)
         self.windows = self._find_windows(bounds)
-        self._before = list(accumulate((high - low for low, high in self.windows), initial=0))
+        lengths = (high - low for low, high in self.windows)
+        self._played_before = list(accumulate(lengths, initial=0))
+        """Time that is played before each window, and in all, ns."""
         self.start_ns, self.end_ns = self.windows[0].low, self.windows[-1].high
         self._robot_names = self._source_names() if selection.node_prefix else {}
+        """Name before the topics by robot and writer, with the option node_prefix."""
 
     def _find_stored_ranges(self) -> list[StoredRange]:
+        """Return the time ranges of the selected runs; set ``_whose``. Raises MessageNotFound."""
         selection = self.selection
         self._whose = self._store.whose(selection.nodeID, selection.run)
         ranges = self._store.ranges(self.topics, self._whose)
@@ -140,6 +144,15 @@ class PlayStream:
         )
 
     def _find_sources(self, start: When | None, end: When | None) -> list[PlaySource]:
+        """Return the sources that are played: one, or with align_start one for each run or robot.
+
+        Aligned ones have only the messages between a start and an end that are dates. Otherwise
+        start and end are not used.
+
+        Raises:
+            MessageNotFound: No message satisfies the conditions.
+            InvalidOption: Start or end, a date, lies outside of all messages.
+        """
         selection = self.selection
         times = None
         if self._event is not None:
@@ -155,7 +168,7 @@ class PlayStream:
         if not self._align:
             return self._with_messages([whole])
         first, last = (None if when is None or when.relative else when for when in (start, end))
-        # Checked as for all.
+        # The errors are those of a replay that is not aligned.
         resolve_times(_message_range(self._with_messages([whole])), first, last, None)
         time_range = TimeRange(
             0 if first is None else first.ns, MAX_NS if last is None else last.ns
@@ -165,6 +178,7 @@ class PlayStream:
         )
 
     def _with_messages(self, sources: Sequence[PlaySource]) -> list[PlaySource]:
+        """Return the sources that have a selected message, or raise MessageNotFound."""
         with_first = with_first_times(sources)
         if with_first:
             return with_first
@@ -180,6 +194,7 @@ class PlayStream:
         return source_names(self._stored_ranges, self._store.run_names(), self._align)
 
     def _name_of(self, topic: str, node: str, writer: int) -> str:
+        """Return the name under which a topic of a run is published."""
         if not self.selection.node_prefix:
             return self._names.of(topic)
         # A run that began after the stream was made has no name yet.
@@ -187,7 +202,7 @@ class PlayStream:
         return self._names.of(topic, self._robot_names.get((node, writer), default))
 
     def _find_windows(self, bounds: TimeRange) -> list[TimeRange]:
-        """Return the windows within the bounds, at least one."""
+        """Return the windows within the bounds, at least one, or raise MessageNotFound."""
         sources, around = self._play_sources, self._around
         if self._event is not None:
             events = heapq.merge(*(source.events(bounds) for source in sources))
@@ -217,10 +232,13 @@ class PlayStream:
         if not number:
             return 0
         low, high = self.windows[number - 1]
-        return self._before[number - 1] + min(high, t) - low
+        return self._played_before[number - 1] + min(high, t) - low
 
     def _plays(self, source: PlaySource, stored_range: StoredRange) -> bool:
-        """Return whether a run has a selected message of a table in a window."""
+        """Return whether a run has a selected message of a table's topic in a window.
+
+        True also if more than _MOST_WINDOWS would have to be searched.
+        """
         alone = _alone(source, stored_range)
         first, last = stored_range.first + source.shift, stored_range.last + source.shift
         met = [window for window in self.windows if first <= window.high and last >= window.low]
@@ -233,7 +251,10 @@ class PlayStream:
         return any(next(alone.rows(window), None) is not None for window in met)
 
     def _first_time(self, source: PlaySource, stored_range: StoredRange) -> int:
-        """Return the time of the first message of a run and table that is played, ns."""
+        """Return the time of the first message of a run and table that is played, ns.
+
+        MAX_NS if the first _MOST_WINDOWS windows have none.
+        """
         first, alone = stored_range.first + source.shift, _alone(source, stored_range)
         met = (window for window in self.windows if first <= window.high)
         for low, high in islice(met, _MOST_WINDOWS):
@@ -248,8 +269,8 @@ class PlayStream:
         They have messages in the windows, or latched ones before them. If a topic has several
         types, they come in the order of their first messages in the windows; ROS takes the first.
         """
-        playing: list[StoredRange] = []
-        earlier: list[StoredRange] = []
+        playing: list[StoredRange] = []  # with messages in a window
+        earlier: list[StoredRange] = []  # without, but one may have been latched before
         sources: dict[StoredRange, PlaySource] = {}
         for source in self._play_sources:
             for stored_range in source.stored_ranges:
@@ -264,7 +285,7 @@ class PlayStream:
             for stored_range in earlier
             if (stored_range.node, stored_range.writer) in runs
         ]
-        by_table: dict[str, list[tuple[StoredRange, bool]]] = {}
+        by_table: dict[str, list[tuple[StoredRange, bool]]] = {}  # and whether it is in ``playing``
         for ranges, plays in ((playing, True), (earlier, False)):
             for stored_range in ranges:
                 by_table.setdefault(stored_range.table.name, []).append((stored_range, plays))
@@ -287,6 +308,7 @@ class PlayStream:
         types = Counter(channel.topic for channel in channels.values())
 
         def first_ns(channel: Channel) -> int:
+            # Only the order of the types of one topic matters: of others nothing is read.
             ranges = played.get(channel[:3], set()) if types[channel.topic] > 1 else set()
             return min(
                 (self._first_time(sources[stored_range], stored_range) for stored_range in ranges),
@@ -311,6 +333,7 @@ class PlayStream:
         return [loss for loss in losses if self._meets(loss)]
 
     def _meets(self, loss: Loss) -> bool:
+        """Return whether a loss is during an event of its robot, or in a window."""
         read = Read(TimeRange(loss.first_ns, loss.last_ns), Whose((loss.node,)))
         times = [source.times for source in self._play_sources if source.times is not None]
         if times:
@@ -353,6 +376,7 @@ class PlayStream:
     def _rows(
         self, time_range: TimeRange, sent: Sequence[LatchedRecord] | None
     ) -> Iterator[_Timed]:
+        """Yield the rows of all sources in one order; record latched ones in ``sent``, if given."""
         if sent is None:
             return heapq.merge(
                 *(source.rows(time_range) for source in self._play_sources), key=_order
@@ -381,10 +405,12 @@ def _alone(source: PlaySource, stored_range: StoredRange) -> PlaySource:
 
 def _message_range(sources: Sequence[PlaySource]) -> TimeRange:
     """Return the time range of the replay's time line in which some sources have messages."""
-    return TimeRange(min(p.known.low for p in sources), max(p.known.high for p in sources))
+    ranges = [source.time_range for source in sources]
+    return TimeRange(min(low for low, _ in ranges), max(high for _, high in ranges))
 
 
 def _merge(sources: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:
+    """Yield the rows of several sources, each in order, in one order."""
     return heapq.merge(*sources, key=_order)
 
 
@@ -430,11 +456,11 @@ def source_names(
     aligned with each other, it is nodeID and run. Names that would be equal are numbered.
     """
     firsts: dict[Source, int] = {}
-    for e in stored_ranges:
-        source = (e.node, e.writer)
-        firsts[source] = min(e.first, firsts.get(source, e.first))
-    given: dict[Source, str] = {}
-    taken: dict[str, tuple[str, str]] = {}
+    for stored_range in stored_ranges:
+        source = (stored_range.node, stored_range.writer)
+        firsts[source] = min(stored_range.first, firsts.get(source, stored_range.first))
+    names: dict[Source, str] = {}
+    owners: dict[str, tuple[str, str]] = {}  # of each name: the robot, and the run if it is its own
     for node, writer in sorted(firsts, key=lambda source: (firsts[source], source)):
         run = run_names.get(writer) or f"run_{writer}"
         runs_of_node = {w for n, w in firsts if n == node}
@@ -443,11 +469,11 @@ def source_names(
         # All runs of one robot share its name unless they are aligned with each other.
         owner = (node, str(writer) if told_apart else "")
         name, number = valid_name(text), 1
-        while taken.setdefault(name, owner) != owner:
+        while owners.setdefault(name, owner) != owner:
             number += 1
             name = f"{valid_name(text)}_{number}"
-        given[node, writer] = name
-    return given
+        names[node, writer] = name
+    return names
 
 
 def valid_name(text: str) -> str:

@@ -35,10 +35,16 @@ COMMAND_SEC = 10.0
 """Maximum time that a command waits until it is carried out, s."""
 
 PAUSED, DELAYED, STALLED, ENDED, AT_ONCE = "paused", "delayed", "stalled", "ended", "at once"
+"""Reasons for which the clock of the replay stands, and states of the replay.
+
+PAUSED: by a command, or before a message of a pause topic. DELAYED: the consumer is too far behind.
+STALLED: the store gives no message; the state is then DELAYED. AT_ONCE: the time only jumps from
+message to message; no state. ENDED: all was played; no reason.
+"""
 
 
 class PlayedStream(Protocol):
-    """The stream that is played, see Stream."""
+    """The stream that is played, see PlayStream."""
 
     start_ns: int
     end_ns: int
@@ -51,7 +57,11 @@ class PlayedStream(Protocol):
 
 
 class PlayOutput(Protocol):
-    """The receiver of the messages. Its methods are called on the thread that plays."""
+    """The receiver of the messages. Its methods are called on the thread that plays.
+
+    ``clock`` may be called under the lock of the replay: it must not wait for a thread that needs
+    that lock.
+    """
 
     def begin(self, t: int) -> None:
         """Forget latched messages: playing begins at ``t``, ns, or jumps there."""
@@ -71,8 +81,10 @@ class Playback:
         output: The receiver of the messages.
         options: Options of the replay.
         lags: Returns whether the consumer is too far behind a time of the replay, ns; the replay
-            then waits.
-        skipped: Called on another thread with each message that cannot be read, and the error.
+            then waits. It is called under the lock of the replay. When the answer may have changed,
+            call ``wake``.
+        skipped: Called with each message that cannot be read, and the error: on the reading thread,
+            for latched messages on the one that plays.
     """
 
     def __init__(
@@ -93,17 +105,30 @@ class Playback:
         self._pauses_for_topics = bool(options.pause_topics)
         """Whether the replay pauses before messages of the option pause_topics."""
         self._changed = threading.Condition()
+        """Its lock guards the commands and the queue of the reader; it is notified when a command
+        comes, or has been carried out, and when an awaited message was read."""
         self._steps = 0
+        """Number of messages that a paused replay is still to publish."""
         self._goto: int | None = stream.start_ns
+        """Time at which to go on, ns; None = no seek is requested."""
         self._stopped = False
+        """Whether a stop was requested."""
         self._finished = False
-        self._at_end = False  # kept alive
+        """Whether ``run`` has ended."""
+        self._at_end = False
+        """Whether all was played, and the replay is kept alive."""
         self._reader: ReadAhead | None = None
-        self._early: ReadAhead | None = None
+        self._prepared: ReadAhead | None = None
+        """Reader that ``prepare`` has made and no pass has used yet."""
         self._window: TimeRange | None = None
+        """Window of the message that was published last; None = none since the start or the seek.
+        """
         self._horizon = stream.start_ns
-        self._known = False
-        self._again = False
+        """Time of the next message, ns: that of the replay does not pass it."""
+        self._is_time_known = False
+        """Whether the replay has a time: at the start only the first message gives it."""
+        self._has_begun = False
+        """Whether a pass has begun before."""
         self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
 
     def now(self) -> int:
@@ -112,7 +137,7 @@ class Playback:
 
     def clock_time(self) -> int | None:
         """Return ``now``; None until the first message has given the start of the replay."""
-        return self.now() if self._known else None
+        return self.now() if self._is_time_known else None
 
     @property
     def state(self) -> str:
@@ -169,7 +194,12 @@ class Playback:
             raise InvalidOption(f"{count - missing} of {count} messages were published: {why}")
 
     def seek(self, t: int) -> int:
-        """Go on at the time ``t``, ns; return it, moved to the start or end if it lies outside."""
+        """Go on at the time ``t``, ns; return it, moved to the start or end if it lies outside.
+
+        Raises:
+            InvalidOption: The replay has ended, or is not there after COMMAND_SEC; then it still
+                goes there as soon as it can.
+        """
         t = max(self._stream.start_ns, min(t, self._stream.end_ns))
         with self._changed:
             if self._finished:
@@ -191,8 +221,8 @@ class Playback:
         """Let ``run`` return after the message that is being published."""
         with self._changed:
             self._stopped = True
-            if self._early is not None:
-                self._early.close()
+            if self._prepared is not None:
+                self._prepared.close()
             self._changed.notify_all()
 
     def wake(self) -> None:
@@ -201,9 +231,10 @@ class Playback:
             self._changed.notify_all()
 
     def _set(self, hold: str, on: bool) -> bool:
+        """Hold or release the clock for a reason; return whether that changed something."""
         with self._changed:
             changed = self.pace.holds(hold) != on
-            self.pace.jump(self.now())
+            self.pace.jump(self.now())  # a replay that is late does not catch up
             (self.pace.hold if on else self.pace.release)(hold)
             self._changed.notify_all()
         return changed
@@ -213,7 +244,7 @@ class Playback:
 
     def prepare(self) -> None:
         """Begin to read before ``run`` is called, so that it need not wait for the store."""
-        self._reader = self._early = self._read(self._stream.start_ns)
+        self._reader = self._prepared = self._read(self._stream.start_ns)
 
     def run(self) -> None:
         """Play until the end, or until it is stopped.
@@ -246,17 +277,17 @@ class Playback:
             self.pace.hold(Pace.BEGIN)  # until the first message has been read
             self.pace.jump(t)
             self._horizon = t
-            self._known = t != self._stream.start_ns
-            early, self._early = self._early, None
-            if early is not None and t != self._stream.start_ns:
-                early.close()
-                early = None
-            reader = early or self._read(t)
-            again, self._again = self._again, True
+            self._is_time_known = t != self._stream.start_ns
+            prepared, self._prepared = self._prepared, None
+            if prepared is not None and t != self._stream.start_ns:
+                prepared.close()
+                prepared = None
+            reader = prepared or self._read(t)
+            had_begun, self._has_begun = self._has_begun, True
             self._reader, self._window = reader, None
         try:
             first = self._read_latched(t)
-            if again:
+            if had_begun:
                 # Before latched messages: subscribers clear their data when time goes back.
                 self._output.clock(t)
             self._output.begin(t)
@@ -267,7 +298,7 @@ class Playback:
                     self._goto = None
                     self._changed.notify_all()
             has_played = self._play(reader, t == self._stream.start_ns)
-            if not (has_played or first or self._is_broken()) and t == self._stream.start_ns:
+            if not (has_played or first or self._is_interrupted()) and t == self._stream.start_ns:
                 raise MessageNotFound(
                     "there is nothing to play: no message of the selection was received from "
                     f"{iso_time(t)} to {iso_time(self._stream.end_ns)}"
@@ -295,6 +326,7 @@ class Playback:
                     return []
 
     def _is_readable(self, played: PlayedMessage) -> bool:
+        """Read what is needed to publish a latched message; return False if it cannot be read."""
         try:
             keep_row(played.row)
         except (CorruptMessage, MessageNotFound) as exc:
@@ -307,7 +339,11 @@ class Playback:
         return ReadAhead(self._stream.messages, t, budget, self._changed, self._skipped)
 
     def _play(self, reader: ReadAhead, fresh: bool) -> bool:
-        """Play the messages of a reader; return whether it had any."""
+        """Play the messages of a reader; return whether it had any.
+
+        Args:
+            fresh: Whether playing begins at the start, and not after a seek.
+        """
         has_played = False
         while True:
             played = self._next(reader)
@@ -316,7 +352,7 @@ class Playback:
             if fresh and not has_played:
                 self._jump(played.t)  # as rosbag: time begins with the first message
             has_played, self._horizon = True, played.t
-            self._known = True
+            self._is_time_known = True
             if not self._await(played):
                 return True
             self._window = played.window
@@ -342,13 +378,13 @@ class Playback:
                 return False
             self.pace.jump(self.now())
             self._horizon = 2**63
-            self._known = True
+            self._is_time_known = True
             self._at_end = True  # time goes on, as with rosbag: other nodes may use it
             self._changed.notify_all()
-            self._changed.wait_for(self._is_broken)
+            self._changed.wait_for(self._is_interrupted)
             return not self._stopped
 
-    def _is_broken(self) -> bool:
+    def _is_interrupted(self) -> bool:
         """Return whether a stop or a seek was requested."""
         return self._stopped or self._goto is not None
 
@@ -357,7 +393,7 @@ class Playback:
         since = time.monotonic()
         said = False
         with self._changed:
-            while not self._is_broken() and not reader.await_next(STALL_SEC):
+            while not self._is_interrupted() and not reader.await_next(STALL_SEC):
                 waited = time.monotonic() - since
                 if waited >= STALL_SEC:
                     self.pace.hold(STALLED)
@@ -369,7 +405,7 @@ class Playback:
             if said:
                 _log.warning("the replay stood for %.1f s", time.monotonic() - since)
             self.pace.release(STALLED)
-            if self._is_broken():
+            if self._is_interrupted():
                 return None
             self.pace.release(Pace.BEGIN)
             return reader.next_message()
@@ -378,7 +414,7 @@ class Playback:
         """Wait until a message may be published; return False after a stop or a seek."""
         due, pauses = False, self._pauses(played)
         with self._changed:
-            while not self._is_broken():
+            while not self._is_interrupted():
                 if self.pace.holds(PAUSED):
                     if self._steps:
                         self._jump(played.t)
@@ -418,9 +454,11 @@ class Playback:
         return False
 
     def _jump(self, t: int) -> None:
+        """Set the time of the replay, and publish it."""
         self.pace.jump(t)
         self._output.clock(t)
 
     def _pauses(self, played: PlayedMessage) -> bool:
+        """Return whether a message is of one of the pause topics, by stored or published name."""
         topics = self._options.pause_topics
         return bool(topics) and (played.topic in topics or played.row.topic in topics)

@@ -54,6 +54,7 @@ class PlayedFleet:
 
     def __init__(self, fleet: Fleet) -> None:
         self._answer = FleetAnswer(fleet.stores)
+        """The stores that have answered all requests of this replay."""
 
     @property
     def missing(self) -> Missing:
@@ -73,7 +74,7 @@ class PlayedFleet:
         find_topic(self._answer, topic)
 
     def whose(self, node: str | None, run: RunName) -> Whose:
-        """Check nodeID and run, and return their Whose."""
+        """Check nodeID and run, and return their Whose; raises RunNotFound."""
         return settled(self._answer, lambda: whose_of(self._answer, node, run))
 
     def ranges(self, topics: Sequence[str], whose: Whose) -> list[StoredRange]:
@@ -199,4 +200,5 @@ def _names(topics: Sequence[FleetTopic]) -> dict[str, list[str]]:
 
 
 def _keys(names: Mapping[str, object]) -> dict[str, str]:
+    """Return store → store, for ``FleetAnswer.each``, whose function then gets the name."""
     return {store: store for store in names}

@@ -89,13 +89,18 @@ class ReadAhead:
         self._changed = changed
         self._skipped = skipped
         self._items: deque[tuple[PlayedMessage, int]] = deque()
+        """Messages that are read and not taken, each with its size, bytes."""
         self._held = 0
         self._full = False
+        """Whether the reading thread waits, or is about to wait, for room."""
         self._room = threading.Event()
+        """Set when there is room again, and by ``close``."""
         self._ended = False
         self._error: BaseException | None = None
+        """Error that ended the reading; raised after the last message was taken."""
         self._closed = threading.Event()
         self._wanted = False
+        """Whether a thread waits for the next message: only then it is notified."""
         threading.Thread(target=self._run, args=(t,), daemon=True, name="read ahead").start()
 
     @property
@@ -149,7 +154,7 @@ class ReadAhead:
 
     def _read(self, t: int) -> None:
         """Read to the end; after an outage of the store go on after the last message."""
-        ends = 0.0  # when the retries end, monotonic clock, s
+        ends = 0.0  # when the retries end, monotonic clock, s; 0 = the store answers
         # Time by position of the read messages that would come again from t on. Times would not
         # do: messages latched in a gap have the time at which the next window begins.
         same: dict[tuple[int, str, int, str], int] = {}

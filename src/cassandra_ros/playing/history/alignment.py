@@ -29,6 +29,7 @@ PAIRS = 64
 """Number of pairs at the end of an overlap whose median time difference is its cost. One pair alone
 chooses a wrong overlap of equal messages when they are received half a period late."""
 _INLINE = 32
+"""Maximum length of a message that is compared by its bytes, bytes."""
 
 
 class MessageFingerprint(NamedTuple):
@@ -41,7 +42,10 @@ class MessageFingerprint(NamedTuple):
 
 
 def digest_of(wire: bytes) -> bytes:
-    """Return the digest of a message's bytes; the bytes themselves if they are few."""
+    """Return the digest of a message's bytes; the bytes themselves if they are few.
+
+    A digest is one byte longer than these, so that it never equals them.
+    """
     return wire if len(wire) <= _INLINE else hashlib.blake2b(wire, digest_size=_INLINE + 1).digest()
 
 
@@ -64,11 +68,11 @@ def first_live(
     if valid:
         best = _best_in_time(valid)
         if _agree(best, stored, live):
-            return best.place
+            return best.stored_at
         longest = max(valid, key=lambda overlap: overlap.pairs)
-        matched = live[longest.other : longest.other + longest.pairs]
+        matched = live[longest.live_at : longest.live_at + longest.pairs]
         if sure or (longest.pairs >= CERTAIN and _all_differ(matched)):
-            return longest.place
+            return longest.stored_at
     return _first_common(stored, live, sure)
 
 
@@ -82,10 +86,12 @@ class Live:
 
     def __init__(self, marks: Sequence[MessageFingerprint], sure: bool) -> None:
         self._times: dict[bytes, list[int]] = {}
+        """Times of reception by digest, ns, in order."""
         for mark in marks:
             self._times.setdefault(mark.digest, []).append(mark.t)
         self._sure = sure or len(marks) == len(self._times) >= CERTAIN
         self._limit = _limit((), marks)
+        """Maximum difference of the times of reception of one message, ns."""
 
     def has(self, mark: MessageFingerprint) -> bool:
         """Return whether a stored message is one of them."""
@@ -96,9 +102,9 @@ class Live:
 class _Overlap(NamedTuple):
     """A possible overlap of stored and live messages: pairs of equal ones up to the end of one."""
 
-    place: int
+    stored_at: int
     """Index of the first pair in the stored messages."""
-    other: int
+    live_at: int
     """Index of the first pair in the live messages; one of the two indexes is 0."""
     pairs: int
     """Number of pairs."""
@@ -132,19 +138,23 @@ def _overlaps(
 def _overlap(
     stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint], k: int, j: int
 ) -> _Overlap:
+    """Return the overlap that begins with stored message k and live message j."""
     count = min(len(stored) - k, len(live) - j)
     last = range(max(0, count - PAIRS), count)
     return _Overlap(k, j, count, median(abs(stored[k + i].t - live[j + i].t) for i in last))
 
 
 def _beginnings(text: Sequence[int], other: Sequence[int]) -> list[int]:
-    """Return the positions from which a text equals another one to the end of one of both."""
+    """Return the positions of ``text`` from which it equals ``other``, until one of both ends."""
     lengths = _z_function([*other, -1, *text])[len(other) + 1 :]
     return [k for k, n in enumerate(lengths) if n == min(len(text) - k, len(other))]
 
 
 def _z_function(text: Sequence[int]) -> list[int]:
-    """Return for each position the length of the text from there that equals its beginning."""
+    """Return for each position the length of the text from there that equals its beginning.
+
+    For position 0 it is 0. The time is linear in the size (the Z algorithm).
+    """
     size = len(text)
     lengths = [0] * size
     left = right = 0
@@ -189,7 +199,10 @@ def _all_differ(marks: Sequence[MessageFingerprint]) -> bool:
 def _first_common(
     stored: Sequence[MessageFingerprint], live: Sequence[MessageFingerprint], sure: bool
 ) -> int | None:
-    """Find the first common message if some are missing, by a filter or a full queue."""
+    """Return the index of the first stored message that is live, though some may be missing.
+
+    A filter of the recorder or a full queue may have left messages out. None = no common message.
+    """
     times: dict[bytes, list[int]] = {}
     for mark in live:
         times.setdefault(mark.digest, []).append(mark.t)
@@ -206,5 +219,6 @@ def _first_common(
 
 
 def _nearest(times: Sequence[int], t: int) -> int:
+    """Return the smallest difference of a time to some times, at least one, in order; ns."""
     at = bisect_left(times, t)
     return min(abs(other - t) for other in times[max(0, at - 1) : at + 1])

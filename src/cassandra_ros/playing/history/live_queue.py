@@ -69,6 +69,7 @@ class DroppedMessages(NamedTuple):
     """The messages of one publisher that were dropped for lack of room."""
 
     first: MessageFingerprint
+    """The message that was dropped first."""
     number: int
     """Number of dropped messages."""
 
@@ -95,13 +96,19 @@ class LiveQueue:
         self._changed = threading.Condition()
         self._messages: deque[LiveMessage] = deque()
         self._bytes = 0
-        self._closed = self._joined = False
+        """Memory of the waiting messages, bytes."""
+        self._closed = False
+        self._joined = False
+        """Whether the stored messages were read up to the waiting ones: then none is dropped."""
         self._connections: dict[int, Mapping[str, str]] = {}
+        """Headers by their id, of the connections from which a message came."""
         self._since: dict[Publisher, float] = {}
+        """Monotonic time at which the first waiting message of a publisher arrived, s."""
         self.recorded = False
         """Whether a recorder stores the topic, so that waiting messages may be dropped here."""
         self.epoch = 0
-        """Number of times that the waiting messages were dropped."""
+        """Number of times that the waiting messages were dropped. If it is the same as before a
+        comparison with stored messages, none was dropped meanwhile."""
         self.began_ns = self.now_ns()
         """Time from which on the queue has every received message, ns; 0 = time not known yet."""
         self.dropped: dict[Publisher, DroppedMessages] = {}
@@ -115,7 +122,7 @@ class LiveQueue:
             return 0
 
     def note_recorded(self, recorded: bool) -> None:
-        """Note whether the store gets what comes."""
+        """Note whether a recorder stores the topic."""
         self.recorded = recorded
 
     def begin(self) -> bool:
@@ -131,7 +138,11 @@ class LiveQueue:
             return self.began_ns > 0
 
     def put(self, header: Mapping[str, str], wire: bytes) -> None:
-        """Append a message; ``header`` is the same object for all messages of a connection."""
+        """Append a message; wait for room if none may be dropped. After ``close`` do nothing.
+
+        Args:
+            header: Connection header; the same object for all messages of a connection.
+        """
         with self._changed:
             nbytes = len(wire) + OVERHEAD_BYTES
             if self._messages and self._bytes + nbytes > self._bound:
@@ -151,24 +162,27 @@ class LiveQueue:
             self._changed.notify_all()
 
     def _make_room(self, nbytes: int) -> None:
+        """Drop the waiting messages if a recorder stores them, else wait for room, or the end."""
         if self.recorded and not self._joined:
-            self._forget()
+            self._drop_waiting()
             return
         if not self._joined:
             _log.warning(
                 "live messages fill the buffer while stored messages are read, and no recorder "
                 "stores them: their publishers must wait"
             )
-        self._changed.wait_for(lambda: self._closed or not self._over(nbytes))
+        self._changed.wait_for(lambda: self._closed or not self._is_still_full(nbytes))
 
-    def _over(self, nbytes: int) -> bool:
+    def _is_still_full(self, nbytes: int) -> bool:
+        """Return whether there is no room yet; first drop the waiting messages if they may be."""
         if self.recorded and not self._joined:  # a recorder may have started since the last check
-            self._forget()
+            self._drop_waiting()
         return bool(self._messages) and self._bytes + nbytes > self._bound
 
-    def _forget(self) -> None:
+    def _drop_waiting(self) -> None:
+        """Drop all waiting messages: they will be read from the store."""
         for message in self._messages:
-            if not message.repeated:
+            if not message.repeated:  # it may have been sent, and stored, long before
                 dropped = self.dropped.get(message.publisher) or DroppedMessages(message.mark, 0)
                 self.dropped[message.publisher] = dropped._replace(number=dropped.number + 1)
         self.epoch += 1
@@ -201,7 +215,10 @@ class LiveQueue:
         return waiting
 
     def join(self, epoch: int) -> bool:
-        """Drop nothing from now on; return False if messages were dropped since ``epoch``."""
+        """Drop nothing from now on; return False if messages were dropped since ``epoch``.
+
+        With False they may still be dropped.
+        """
         with self._changed:
             self._joined = self.epoch == epoch
             return self._joined

@@ -49,7 +49,8 @@ class StoredPast:
         self._run = run
 
     def _whose(self) -> Whose:
-        return self._catalog.whose(self._node, self._run)  # a run that goes on may get writers
+        # Asked anew each time: a run that goes on may get writers.
+        return self._catalog.whose(self._node, self._run)
 
     def exists(self) -> bool:
         """Return whether the keyspace has the topic."""
@@ -98,6 +99,9 @@ class StoredPast:
         return False
 
     def may_be_written(self) -> bool:
-        """Return whether the keyspace has a recording that has not ended."""
+        """Return whether the keyspace has a recording that has not ended, of any topic.
+
+        That of a recorder that was killed counts, too.
+        """
         runs = self._catalog.keyspace.registry.runs()
         return any(run.kind == "recording" and run.ended is None for run in runs)

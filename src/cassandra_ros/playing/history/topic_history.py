@@ -65,6 +65,8 @@ ROOM = 10_000
 """Maximum number of rows remembered beyond that time range."""
 
 _Arrival = Tuple[int, str, int, str]
+"""Position of a row in the order of reads by receive time, which is its first part, ns; see
+StoredRow.arrival."""
 
 
 class HistoryMessage(NamedTuple):
@@ -115,14 +117,15 @@ class History:
         self._past, self._queue, self._connected = past, queue, connected
         self._since, self._low = since, 0
         """Function of the argument ``since``, and the receive time from which is read next, ns."""
+        # All that follows is used by the thread that iterates ``messages``.
         self._done: dict[MessageIdentity, int] = {}
         """Rows that were yielded, or are damaged → receive time, ns."""
         self._floor, self._room = 0, ROOM
         """All yielded rows from the time _floor on, ns, are in _done; _room is its maximum size."""
-        self._over: dict[_WriterStream, _Arrival] = {}
-        """Bounds at which the stored messages ended and the live ones began."""
+        self._bounds_by_stream: dict[_WriterStream, _Arrival] = {}
+        """For each stream the first row that comes live instead, once live messages are yielded."""
         self._heard: dict[Publisher, Live] = {}
-        """First live messages, which may be read from the store later, too."""
+        """First live messages of each publisher, which may be read from the store later, too."""
         self._late_sec: list[float] = []
         """Monotonic times at which rows are still searched that were stored late, s."""
         self._seen: dict[MessageIdentity, _StoredMark] = {}
@@ -132,20 +135,21 @@ class History:
         self._last: dict[_WriterStream, MessageFingerprint] = {}
         """The row of each stream that was yielded last."""
         self._counted: dict[Publisher, int] = {}
-        """Number of rows yielded from the first message on that the queue had no room for."""
-        self._looked = -LOOK_SEC
+        """Number of rows of a publisher that were yielded since the first message that the queue
+        had dropped."""
+        self._checked_at = -LOOK_SEC
         """Monotonic time at which it was checked whether the topic is written, s."""
         self._written = self._doubtful = False
         """Whether a writer is seen to write the topic, and whether one may."""
         self._unseen: list[Publisher] = []
         """Publishers of which no live message was found among the rows."""
-        self._found = False
-        """Whether that of another one was."""
+        self._has_seen_live = False
+        """Whether a live message of another publisher was."""
         self._epoch, self._begun_sec, self._ready_sec = -1, -1.0, -1.0
         """Epoch of the queue in which the bounds are searched, monotonic time of the beginning of
         the search, and of the moment from which the search may end, s; -1 = not yet."""
         self.live = False
-        """Whether all stored messages were yielded."""
+        """Whether all stored messages were yielded, as far as they could be read."""
         self.lost = 0
         """Number of messages known to be missing."""
 
@@ -177,6 +181,7 @@ class History:
                 self._forget()
 
     def _all_past(self) -> Iterator[HistoryMessage]:
+        """Yield the stored messages up to the live ones; from then on the queue drops nothing."""
         while not self._queue.begin():  # simulated time begins with the first /clock message
             self._queue.wait(POLL_SEC)
             if self._queue.closed:
@@ -201,9 +206,9 @@ class History:
             if bounds is None:
                 self._queue.wait(POLL_SEC)
             elif self._queue.join(self._epoch):
-                self._go_over(bounds)
+                self._remember_live(bounds)
                 yield from self._rest(bounds)
-                self._account()
+                self._tell_gaps()
                 return
 
     def _warn_of_losses(self) -> None:
@@ -226,12 +231,15 @@ class History:
             self._begun_sec = self._ready_sec = -1.0
 
     def _old(self) -> Iterator[HistoryMessage]:
-        """Yield the rows that are clearly older than the live messages."""
+        """Yield the rows that are clearly older than the live messages.
+
+        The next read begins shortly before the last of them.
+        """
         high = self._queue.began_ns - COMPARED_WINDOW_NS
         heads = {who: w.messages[0].mark for who, w in self._queue.waiting().items()}
         last = None
         for row in self._past.rows(self._low, high):
-            self._look()
+            self._check_written()
             if self._queue.closed:
                 return
             if row.identity not in self._done:
@@ -244,7 +252,11 @@ class History:
             self._low = max(self._low, last - COMPARED_WINDOW_NS)
 
     def _make_room(self, last: int) -> None:
-        """Forget all yielded rows but the last ones: those of days would not fit into memory."""
+        """Forget all yielded rows but the last ones: those of days would not fit into memory.
+
+        Args:
+            last: Receive time of the row that was yielded last, ns.
+        """
         if len(self._done) > self._room:
             self._floor = max(self._floor, last - KEPT_NS)
             self._done = {p: t for p, t in self._done.items() if t >= self._floor}
@@ -261,6 +273,7 @@ class History:
         return wire is not None and digest_of(wire) == head.digest
 
     def _wire(self, row: StoredRow) -> bytes | None:
+        """Return the bytes of a row; None = it was deleted, or is damaged, which counts as lost."""
         try:
             return row.wire
         except MessageNotFound:
@@ -288,18 +301,18 @@ class History:
             self._counted[stream.publisher] = 1
         yield HistoryMessage(row.received, _fields(row.connection), wire, True)
 
-    def _look(self) -> None:
+    def _check_written(self) -> None:
         """Check, every LOOK_SEC, whether a writer writes the topic."""
         now = time.monotonic()
-        if now - self._looked >= LOOK_SEC:
-            self._looked = now
+        if now - self._checked_at >= LOOK_SEC:
+            self._checked_at = now
             self._written = self._past.is_written(self._queue.now_ns())
             self._doubtful = self._written or self._past.may_be_written()
             self._queue.note_recorded(self._written)
 
     def _bounds(self) -> dict[_WriterStream, _Arrival] | None:
         """Return for each stream the first row that comes live instead; None = not known yet."""
-        self._look()
+        self._check_written()
         now = time.monotonic()
         if self._begun_sec < 0:
             self._begun_sec = now
@@ -317,11 +330,15 @@ class History:
             bounds.update(places)
             if not places:
                 unseen[who] = live.since
-        self._unseen, self._found = list(unseen), len(waiting) > len(unseen)
+        self._unseen, self._has_seen_live = list(unseen), len(waiting) > len(unseen)
         return bounds if self._is_ready(unseen.values()) else None
 
     def _read_end(self, reach_ns: int) -> None:
-        """Remember the newest rows: the first live messages are among them."""
+        """Remember the newest rows: the first live messages are among them.
+
+        Args:
+            reach_ns: How far after its first live message the rows of a publisher are read, ns.
+        """
         firsts = {who: w.messages[0].t for who, w in self._queue.waiting().items()}
         high = max([self._queue.began_ns, *firsts.values()]) + reach_ns
         for row in self._past.rows(self._low, high):
@@ -341,7 +358,10 @@ class History:
         live: WaitingMessages,
         streams: Mapping[_WriterStream, list[_StoredMark]],
     ) -> dict[_WriterStream, _Arrival]:
-        """Find a publisher's first live message among the rows of each writer that stored it."""
+        """Return the first row that comes live, for each writer that has stored the publisher.
+
+        A writer that has stored none of its live messages is left out.
+        """
         marks = [message.mark for message in live.messages]
         sure = _is_stamped(live.messages[0].header.get("message_definition", ""))
         repeated = live.messages[0].repeated
@@ -356,6 +376,7 @@ class History:
                 if before[0].digest == marks[0].digest and (stored or stream in self._last):
                     # Latched: it was published before we subscribed and is stored already.
                     live.messages[0].wanted = False
+                    # No row of the stream is left to be yielded: (0, "", 0, "") is before all.
                     places[stream] = _just_after(rows[-1].arrival) if rows else (0, "", 0, "")
             if place is not None:
                 places[stream] = rows[place].arrival
@@ -363,10 +384,14 @@ class History:
 
     @property
     def _patience(self) -> float:
+        """How long a live message is searched for in the store, s."""
         return PATIENCE_SEC if self._written else DOUBT_SEC if self._doubtful else 0.0
 
     def _is_ready(self, unseen: Iterable[float]) -> bool:
         """Return whether the search may end.
+
+        Args:
+            unseen: Monotonic times at which the publishers came that were not found, s.
 
         It ends when each publisher's first live message was found or searched for long enough,
         and the messages before it have had time to be stored.
@@ -382,9 +407,9 @@ class History:
             self._ready_sec = now
         return now - self._ready_sec >= (SETTLE_SEC if self._doubtful else 0.0)
 
-    def _go_over(self, bounds: Mapping[_WriterStream, _Arrival]) -> None:
+    def _remember_live(self, bounds: Mapping[_WriterStream, _Arrival]) -> None:
         """Remember the live messages that may also be read from the store later."""
-        self._over = dict(bounds)
+        self._bounds_by_stream = dict(bounds)
         last = max((bound[0] for bound in bounds.values()), default=0) + PUBLISHER_REACH_NS
         for who, live in self._queue.waiting().items():
             sure = _is_stamped(live.messages[0].header.get("message_definition", ""))
@@ -404,12 +429,15 @@ class History:
         )
 
     def _late(self) -> Iterator[HistoryMessage]:
-        """Yield rows before the bounds that were stored after the past had been read."""
+        """Yield rows before the bounds that were stored after the past had been read.
+
+        If the store does not answer, a warning is logged instead.
+        """
         low = max(self._floor, self._queue.began_ns - KEPT_NS)
         times: list[int] = []
         try:
-            for row in self._past.rows(low, max(b[0] for b in self._over.values())):
-                bound = self._over.get(_stream(row))
+            for row in self._past.rows(low, max(b[0] for b in self._bounds_by_stream.values())):
+                bound = self._bounds_by_stream.get(_stream(row))
                 if bound is None or row.arrival >= bound or row.identity in self._done:
                     continue
                 if not self._is_heard(row):
@@ -432,7 +460,8 @@ class History:
             )
 
     def _forget(self) -> None:
-        for rows in (self._over, self._heard, self._done, self._last, self._counted):
+        """Free what is only needed to find rows that were stored late."""
+        for rows in (self._bounds_by_stream, self._heard, self._done, self._last, self._counted):
             rows.clear()
 
     def _rest(self, bounds: Mapping[_WriterStream, _Arrival]) -> Iterator[HistoryMessage]:
@@ -457,6 +486,12 @@ class History:
             yield from self._give(row)
 
     def _live_before(self, t: int, expected: Counter[Publisher]) -> Iterator[HistoryMessage]:
+        """Yield live messages received before ``t``, ns, up to the first that must wait for rows.
+
+        Args:
+            expected: Number of rows that are still to be yielded, by publisher. They come before
+                its live messages.
+        """
         while True:
             message = self._queue.first()
             if message is None or message.t >= t or expected[message.publisher] > 0:
@@ -465,7 +500,7 @@ class History:
             if message.wanted:
                 yield HistoryMessage(message.t, message.header, message.wire, False)
 
-    def _account(self) -> None:
+    def _tell_gaps(self) -> None:
         """Log which messages are missing and where a gap may be."""
         self._count_missing("no recorder stored them")
         if self._newest and not self._doubtful:
@@ -473,10 +508,11 @@ class History:
         elif self._newest and self._unseen:
             names = ", ".join(who.callerid or "a publisher" for who in self._unseen)
             self._warn_of_gap(f"no messages of {names} are seen to be recorded")
-        elif self._newest and not (self._found or self._written):
+        elif self._newest and not (self._has_seen_live or self._written):
             self._warn_of_gap("no recorder is seen to record it now")
 
     def _count_missing(self, reason: str) -> None:
+        """Count as lost, and log, the messages that the queue dropped and no row has replaced."""
         missing = {
             who: dropped.number - self._counted.get(who, 0)
             for who, dropped in self._queue.dropped.items()
