@@ -35,7 +35,8 @@ class Diagnostics:
         self._hosts, self._keyspace = ",".join(place.hosts), place.keyspace
         self._name = rospy.get_name().lstrip("/")
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
-        self._lost: dict[str, int] = {}
+        self._lost_before: dict[str, int] = {}
+        """Number of lost messages by topic at the last call of ``publish``."""
 
     def publish(self, status: RecordingStatus, rates: Rates) -> None:
         """Publish a status."""
@@ -46,10 +47,11 @@ class Diagnostics:
             level, text, values = quota_entry(status.quota)
             array.status.append(self._status(level, "maximum size", text, values))
         array.status += [self._of_topic(report, status, rates) for report in status.topics]
-        self._lost = {report.topic: report.lost for report in status.topics}
+        self._lost_before = {report.topic: report.lost for report in status.topics}
         self._publisher.publish(array)
 
     def _of_store(self, status: RecordingStatus, rates: Rates) -> DiagnosticStatus:
+        """Return the entry of the store; of several reasons the last one below is shown."""
         fill = status.held_bytes / status.bound_bytes if status.bound_bytes else 0.0
         level, text = DiagnosticStatus.OK, status.state
         if status.run:
@@ -66,7 +68,7 @@ class Diagnostics:
         if fill > FULL and status.run:
             level, text = DiagnosticStatus.WARN, f"the buffer is {fill:.0%} full"
         lost = {report.topic: report.lost for report in status.topics}
-        if any(count > self._lost.get(topic, 0) for topic, count in lost.items()):
+        if any(count > self._lost_before.get(topic, 0) for topic, count in lost.items()):
             level, text = DiagnosticStatus.ERROR, "messages are being lost"
         hertz, nbytes = rates.total
         values = {
@@ -97,7 +99,7 @@ class Diagnostics:
             text = "not recorded any more"
         elif not report.published:
             level, text = DiagnosticStatus.WARN, "it has no publisher"
-        if report.lost > self._lost.get(report.topic, 0):
+        if report.lost > self._lost_before.get(report.topic, 0):
             level, text = DiagnosticStatus.ERROR, "messages are being lost"
         elif report.lost:
             level, text = DiagnosticStatus.WARN, "messages were lost"

@@ -102,22 +102,26 @@ class HistorySubscriber:
         self.name = self.resolved_name = _resolve_topic(topic)
         self.data_class: Any = data_class
         self._callback, self._args = callback, callback_args
-        self._own = rosCas is None
+        self._owns_store = rosCas is None
+        """Whether the store was opened here, so that it is closed here."""
         keyspace = from_environment("KEYSPACE") or "ros"
         self._rosCas = RosCassandra(keyspace=keyspace) if rosCas is None else rosCas
-        self._strange: set[tuple[str, str]] = set()
-        self._until = time.monotonic() + CONNECT_SEC
+        self._warned_types: set[tuple[str, str]] = set()
+        """Type and md5sum of the messages of another class for which a warning was logged."""
+        self._connect_until = time.monotonic() + CONNECT_SEC
+        """Monotonic time until which publishers are waited for, s."""
         self._is_connected = False
+        """Whether all were connected once, or were waited for long enough."""
         self.failed = 0
         """Number of messages for which the callback raised, or that were not of data_class."""
         try:
             past = StoredPast(self._rosCas.catalog, self.resolved_name, node, run)
         except CassandraRosError:
-            self._close_own()
+            self._close_store()
             raise
         self._queue = LiveQueue(bound, ros_now_ns)
         self._history = History(past, self._queue, begin, self._await_publishers)
-        self._subscriber = subscribe(self.resolved_name, self._take, tcp_nodelay)
+        self._subscriber = subscribe(self.resolved_name, self._put_live, tcp_nodelay)
         name = f"history of {self.resolved_name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         rospy.on_shutdown(self._queue.close)
@@ -149,35 +153,38 @@ class HistorySubscriber:
         if threading.current_thread() is not self._thread:
             self._thread.join(CLOSE_SEC)
 
-    def _take(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+    def _put_live(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        """Queue a live message, on the thread of its publisher's connection."""
         self._queue.put(header, wire)
 
     def _await_publishers(self) -> bool:
         """Return whether all publishers of the topic are connected, or CONNECT_SEC is over."""
         if not self._is_connected:
-            publishers = _publishers(self.resolved_name)
-            late = time.monotonic() > self._until
+            publishers = _count_publishers(self.resolved_name)
+            late = time.monotonic() > self._connect_until
             self._is_connected = late or self.get_num_connections() >= publishers
         return self._is_connected
 
     def _run(self) -> None:
+        """Deliver the messages until ``unregister``, on the thread of this subscriber."""
         try:
-            for heard in self._history.messages():
+            for message in self._history.messages():
                 if self._queue.closed:
                     break
-                self._deliver(heard)
+                self._deliver(message)
         except Exception:
             _log.exception("the subscription to %s has ended", self.resolved_name)
             raise
         finally:
-            self._close_own()
+            self._close_store()
 
-    def _close_own(self) -> None:
-        if self._own:
+    def _close_store(self) -> None:
+        if self._owns_store:
             self._rosCas.close()
 
-    def _deliver(self, heard: HistoryMessage) -> None:
-        msg = self._message(heard)
+    def _deliver(self, message: HistoryMessage) -> None:
+        """Call the callback with a message; what it raises is logged and counted."""
+        msg = self._message(message)
         if msg is None:
             return
         try:
@@ -189,13 +196,14 @@ class HistorySubscriber:
             self.failed += 1
             _log.exception("bad callback of %s: %r", self.resolved_name, self._callback)
 
-    def _message(self, heard: HistoryMessage) -> Any:
+    def _message(self, message: HistoryMessage) -> Any:
+        """Return a message as the callback gets it; None = it is left out, which is counted."""
         if self.data_class is rospy.AnyMsg:
             msg = rospy.AnyMsg()
-            msg._buff = heard.wire
-        elif self._is_ours(heard.header):
+            msg._buff = message.wire
+        elif self._is_ours(message.header):
             try:
-                msg = deserialize(self.data_class, heard.wire)
+                msg = deserialize(self.data_class, message.wire)
             except CorruptMessage as exc:
                 self.failed += 1
                 _log.error("topic %s: a message is left out: %s", self.resolved_name, exc)
@@ -203,7 +211,7 @@ class HistorySubscriber:
         else:
             self.failed += 1
             return None
-        msg._connection_header = heard.header
+        msg._connection_header = message.header
         return msg
 
     def _is_ours(self, header: Mapping[str, str]) -> bool:
@@ -211,8 +219,8 @@ class HistorySubscriber:
         kind = header.get("type", ""), header.get("md5sum", "")
         if kind[1] == self.data_class._md5sum:
             return True
-        if kind not in self._strange:
-            self._strange.add(kind)
+        if kind not in self._warned_types:
+            self._warned_types.add(kind)
             _log.warning(
                 "topic %s: messages of type %s (md5sum %s) are left out, %s (%s) is subscribed to",
                 self.resolved_name,
@@ -235,17 +243,21 @@ def _resolve_topic(topic: str) -> str:
 
 
 def _start_time_of(since: Any) -> Callable[[int], int]:
-    """Return a function from the present time to the first time of stored messages, both ns."""
+    """Return a function from the present time to the first time of stored messages, both ns.
+
+    Raises:
+        InvalidKey: It is neither a time nor a length of time.
+    """
     if since is None:
         return lambda now: 0
     try:
-        ns, back = When(to_ns(since), False) if isinstance(since, str) else time_or_length(since)
+        when = When(to_ns(since), False) if isinstance(since, str) else time_or_length(since)
     except InvalidKey as exc:
         raise InvalidKey(f"since is neither a time nor a length of time: {exc}") from exc
-    return (lambda now: max(0, now - ns)) if back else (lambda now: ns)
+    return (lambda now: max(0, now - when.ns)) if when.relative else (lambda now: when.ns)
 
 
-def _publishers(topic: str) -> int:
+def _count_publishers(topic: str) -> int:
     """Return the number of nodes that publish a topic; 0 also if no master answers."""
     try:
         _, _, (publishers, _, _) = master_proxy(MASTER_SEC).getSystemState(rospy.get_name())

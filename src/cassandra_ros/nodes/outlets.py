@@ -65,15 +65,22 @@ class Outlets:
     def __init__(self, channels: Sequence[Channel], queue: int, waits: bool, clock: bool) -> None:
         self._waits = waits
         self._stopping = threading.Event()
+        """Set when no subscriber is waited for any more while messages are published."""
         self._closed = threading.Event()
+        """Set when /clock is to end, after the last messages were sent."""
         self._publications: dict[str, AnyPublication] = {}
+        """Publishers by ``Channel.topic``; several topics may have the same publisher."""
         self._kinds: dict[str, Kind] = {}
         """Name on the ROS graph → kind of the messages that are played there."""
         self._left_out: Counter[str] = Counter()
-        self._said: set[Hashable] = set()
-        self._ways: dict[Hashable, tuple[AnyPublication | None, Hashable | None]] = {}
+        """Number of messages that were not published, by topic."""
+        self._warned: set[Hashable] = set()
+        """Keys of the warnings that were logged."""
+        self._routes: dict[Hashable, tuple[AnyPublication | None, Hashable | None]] = {}
+        """What ``_route`` returned for the messages of a connection."""
         self._clock: AnyPublication | None = None
         self._clock_lock = threading.Lock()
+        """Held while the time is published, by the playing thread and that of ``run_clock``."""
         if clock:
             kind = MessageKind.of(Clock._type, Clock._md5sum, Clock._full_text)
             self._clock = advertise(CLOCK, kind, latched=False, queue_size=1)
@@ -83,9 +90,14 @@ class Outlets:
             self._advertise(channel, name, name in latched, queue)
 
     def _advertise(self, channel: Channel, name: str, latched: bool, queue: int) -> None:
+        """Advertise a channel, or log why its messages are left out.
+
+        Args:
+            name: Its name on the ROS graph, resolved by rospy.
+        """
         topic = channel.topic
         if self._clock is not None and name == self._clock.topic:
-            self._say(topic, "%s is not played as stored: --clock publishes it", topic)
+            self._warn_once(topic, "%s is not played as stored: --clock publishes it", topic)
             return
         kind = MessageKind.of(channel.type, channel.kind.md5sum, channel.definition)
         # Two stored topics may be remapped to one.
@@ -97,7 +109,7 @@ class Outlets:
                 if published.arrays is None:  # from now on only messages of this layout fit
                     self._kinds[name] = channel.kind
                 return
-            self._say(
+            self._warn_once(
                 (topic, channel.type, channel.kind),
                 "topic %s was stored with several types; only %s is played, %s is left out",
                 name,
@@ -110,22 +122,22 @@ class Outlets:
             self._kinds[name] = channel.kind
         except InvalidName as exc:
             hint = f"it can be played under another name: '{topic}:=/NAME'"
-            self._say(topic, "topic %s is not played: %s; %s", topic, exc, hint)
+            self._warn_once(topic, "topic %s is not played: %s; %s", topic, exc, hint)
             return
         except TypeMismatch as exc:
-            self._say(topic, "topic %s is not played: %s", topic, exc)
+            self._warn_once(topic, "topic %s is not played: %s", topic, exc)
             return
         if not channel.definition:
             _log.warning("topic %s is played without its definition: none is stored", topic)
 
-    def _say(self, key: Hashable, text: str, *values: object) -> None:
+    def _warn_once(self, key: Hashable, text: str, *values: object) -> None:
         """Warn once for each key."""
-        if key not in self._said:
-            self._said.add(key)
+        if key not in self._warned:
+            self._warned.add(key)
             _log.warning(text, *values)
 
     def begin(self, t: int) -> None:
-        """Forget the latched messages."""
+        """Forget the latched messages: playing begins at ``t``, or jumps there."""
         for publication in self._publications.values():
             publication.forget_latched()
 
@@ -133,16 +145,16 @@ class Outlets:
         """Publish a message on its topic."""
         row = played.row
         key = (played.topic, row.table.name, row.conn, row.node)
-        way = self._ways.get(key)
-        if way is None:
-            way = self._ways[key] = self._way(played, key)
-        publication, source = way
+        route = self._routes.get(key)
+        if route is None:
+            route = self._routes[key] = self._route(played, key)
+        publication, source = route
         if publication is None:
             self._left_out[played.topic] += 1
             return
         publication.publish_wire(row.wire, source)
         if self._waits and not publication.await_room(self._stopping.is_set, STALLED_SEC):
-            self._say(
+            self._warn_once(
                 (played.topic, "waits"),
                 "a subscriber of topic %s has read nothing for %.0f s: the replay waits for it, so "
                 "that nothing is dropped",
@@ -151,10 +163,13 @@ class Outlets:
             )
             publication.await_room(self._stopping.is_set, math.inf)
 
-    def _way(
+    def _route(
         self, played: PlayedMessage, key: Hashable
     ) -> tuple[AnyPublication | None, Hashable | None]:
-        """Return the publisher for the messages of a connection, and ``key`` if it was latching."""
+        """Return the publisher for the messages of a connection, and ``key`` if it was latching.
+
+        The publisher is None if they are left out. ``key`` is the source of the latched messages.
+        """
         publication, row = self._publications.get(played.topic), played.row
         if publication is None:
             return None, None
@@ -167,9 +182,9 @@ class Outlets:
             return publication, None
 
     def skipped(self, played: PlayedMessage, error: CassandraRosError) -> None:
-        """Count a message that cannot be read."""
+        """Count a message that cannot be read; called on the reading or the playing thread."""
         self._left_out[played.topic] += 1
-        self._say((played.topic, "unreadable"), "a message is left out: %s", error)
+        self._warn_once((played.topic, "unreadable"), "a message is left out: %s", error)
 
     def clock(self, t: int) -> None:
         """Publish the time ``t``, ns, because the clock jumped to it."""
@@ -184,14 +199,14 @@ class Outlets:
             now: Returns the time of the replay, ns; None = not known yet.
             hz: Rate, Hz.
         """
-        following = time.monotonic()
+        due = time.monotonic()
         while self._clock is not None:
             with self._clock_lock:  # ``clock`` publishes, too: time must not go backwards
                 t = now()
                 if t is not None:
                     self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
-            following = max(following + 1 / hz, time.monotonic())
-            if self._closed.wait(following - time.monotonic()):
+            due = max(due + 1 / hz, time.monotonic())
+            if self._closed.wait(due - time.monotonic()):
                 return
 
     def without_subscriber(self) -> list[str]:
@@ -222,6 +237,7 @@ class Outlets:
         return sorted(topics)
 
     def _distinct(self) -> list[AnyPublication]:
+        """Return each publisher once."""
         return list(dict.fromkeys(self._publications.values()))
 
     def stop(self) -> None:

@@ -90,13 +90,19 @@ class Player:
         self._outlets: Outlets | None = None
         self._registration = Registration()
         self._control: rospy.Subscriber | None = None
+        """Subscriber of the option rate_control_topic; None = there is none."""
         self._control_ns = self._stream.start_ns
-        self._controls = True
+        """Last stamp on that topic, or the time at which playing began after it, ns."""
+        self._is_controlled = True
+        """Whether the messages of that topic have a stamp, as far as known."""
         self._playback = Playback(self._stream, self, options, self._lags, self._note_skip)
         self._stopping = threading.Event()
         self._abandoned = threading.Event()
+        """Set by ``stop``: the last messages are not waited for."""
         self._done = threading.Event()
+        """Set when the thread of the player has ended."""
         self._error: Exception | None = None
+        """Error that ended the player; set before ``_done``."""
 
     @property
     def stream(self) -> PlayStream:
@@ -104,7 +110,12 @@ class Player:
         return self._stream
 
     def start(self) -> None:
-        """Advertise the topics and begin to play on another thread."""
+        """Advertise the topics and begin to play on another thread.
+
+        Raises:
+            InvalidOption: The player was started before.
+            CassandraRosError: The store does not answer.
+        """
         if self._outlets is not None:
             raise InvalidOption("this player was started already: make another one")
         options = self.options
@@ -232,6 +243,7 @@ class Player:
             )
 
     def _run(self, outlets: Outlets) -> None:
+        """Play until the end, on the thread of the player."""
         try:
             if self._stopping.wait(self.options.delay) or not self._await_subscribers(outlets):
                 return
@@ -245,6 +257,7 @@ class Player:
             self._close(outlets)
 
     def _close(self, outlets: Outlets) -> None:
+        """Send the last messages, unregister all topics, log what was missed; set ``_done``."""
         try:
             self._registration.stop()
             if self._control is not None:
@@ -269,13 +282,13 @@ class Player:
 
     def _await_subscribers(self, outlets: Outlets) -> bool:
         """Wait with the option wait_for_subscribers; return False if the player was stopped."""
-        following = time.monotonic() + SAY_SEC
+        say_at = time.monotonic() + SAY_SEC
         while self.options.wait_for_subscribers and not self._stopping.is_set():
             missing = outlets.without_subscriber()
             if not missing:
                 break
-            if time.monotonic() >= following:
-                following += SAY_SEC
+            if time.monotonic() >= say_at:
+                say_at += SAY_SEC
                 _log.info("waiting for subscribers of %s", ", ".join(missing))
             self._stopping.wait(0.05)
         return not self._stopping.is_set()
@@ -301,15 +314,17 @@ class Player:
             self._outlets.skipped(played, error)
 
     def _lags(self, t: int) -> bool:
-        if self._control is None or not self._controls:
+        """Return whether the last stamp on the rate control topic is too old for the time ``t``."""
+        if self._control is None or not self._is_controlled:
             return False
         return t - self._control_ns > self.options.rate_control_max_delay * SECOND_NS
 
     def _take_control(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        """Note the stamp of a message of the rate control topic; one without stamp ends control."""
         definition = header.get("message_definition", "")
         if not starts_with_header(definition) or len(wire) < _SEQ_AND_STAMP.size:
-            if self._controls:
-                self._controls = False
+            if self._is_controlled:
+                self._is_controlled = False
                 _log.warning(
                     "the rate control topic %s has no Header as its first field and is ignored",
                     topic,

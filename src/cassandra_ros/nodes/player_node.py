@@ -89,12 +89,12 @@ def play(
         offer_services(PlayerServices(player).all(), say, none=options.no_services)
         player.start()
         _say_what(player, say)
-        stopped, missing = 0, 0
+        stopped, told_missing = 0, 0  # number of stops, and of missing stores that were logged
         while not player.wait(POLL_SEC):
-            away = list(player.stream.missing.items())
-            for name, reason in away[missing:]:
+            missing = list(player.stream.missing.items())
+            for name, reason in missing[told_missing:]:
                 _log.warning("the replay goes on without store %s: %s", name, reason)
-            missing = len(away)
+            told_missing = len(missing)
             if len(signals) > stopped or (rospy.is_shutdown() and not stopped):
                 stopped += 1
                 player.stop(abandon=stopped > 1)

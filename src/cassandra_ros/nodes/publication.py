@@ -67,12 +67,15 @@ class _Link:
     def __init__(self, transport: Transport, bound: int) -> None:
         self.transport = transport
         self.missed = 0
+        """Number of messages that were dropped because the queue was full, or was abandoned."""
         self.moved = time.monotonic()
         """Last time at which bytes were sent or sending began, monotonic clock, s."""
         self._bound = bound or 2**62
         self._queue: deque[bytes] = deque()
-        self._rest: memoryview | None = None  # unsent end of a message
-        self._busy = False
+        self._unsent: memoryview | None = None  # unsent end of a message, sent before the queue
+        self._busy = False  # whether the thread is sending
+        # Its lock guards what stands above, except while the thread sends: so only one thread at a
+        # time sends, and messages keep their order.
         self._changed = threading.Condition()
         transport.set_cleanup_callback(self._on_close)
         threading.Thread(target=self._run, daemon=True, name="publisher").start()
@@ -83,6 +86,7 @@ class _Link:
         return getattr(self.transport, name)
 
     def _on_close(self, transport: Transport) -> None:
+        """Let the thread end; called by the transport on the thread that closes it."""
         with self._changed:
             self._changed.notify_all()
 
@@ -90,7 +94,7 @@ class _Link:
     def is_idle(self) -> bool:
         """Whether all messages were handed to the system, or the subscriber is gone."""
         with self._changed:
-            waits = self._queue or self._rest is not None or self._busy
+            waits = self._queue or self._unsent is not None or self._busy
             return bool(self.transport.done or not waits)
 
     @property
@@ -111,7 +115,7 @@ class _Link:
         """Drop the queue; its messages count as missed if the subscriber is still connected."""
         with self._changed:
             if not self.transport.done:
-                half_sent = self._rest is not None or self._busy
+                half_sent = self._unsent is not None or self._busy
                 self.missed += len(self._queue) + half_sent
             self._queue.clear()
 
@@ -121,7 +125,7 @@ class _Link:
             with self._changed:
                 if self.transport.done:
                     return
-                waits = self._queue or self._rest is not None or self._busy
+                waits = self._queue or self._unsent is not None or self._busy
                 if not waits:
                     self.moved = time.monotonic()
                     self._send_now(wire)
@@ -135,6 +139,7 @@ class _Link:
             self.transport.close()  # not under our lock: it calls _on_close
 
     def _send_now(self, wire: bytes) -> None:
+        """Send as much of a message as does not block; leave the rest to the thread."""
         buffers = (_length(len(wire)), wire)
         try:
             sent = self.transport.socket.sendmsg(buffers, (), socket.MSG_DONTWAIT)
@@ -142,17 +147,18 @@ class _Link:
             sent = 0
         except AttributeError:
             return  # closed meanwhile: the transport has no socket any more
-        self._count(sent, 1)
+        self._note_sent(sent, 1)
         if sent < len(wire) + 4:
             # A large message is never copied unless none of it was sent.
             whole = memoryview(wire if sent >= 4 else b"".join(buffers))
-            self._rest = whole[sent - 4 if sent >= 4 else sent :]
+            self._unsent = whole[sent - 4 if sent >= 4 else sent :]
             self._changed.notify_all()
 
     def _run(self) -> None:
+        """Send what ``offer`` has not sent, until the connection is closed."""
         while True:
             with self._changed:
-                while not (self._queue or self._rest is not None or self.transport.done):
+                while not (self._queue or self._unsent is not None or self.transport.done):
                     self._changed.wait()
                 if self.transport.done:
                     return
@@ -165,12 +171,15 @@ class _Link:
                 self.transport.close()
             with self._changed:
                 self._busy = False
-                self._count(0, messages)
+                self._note_sent(0, messages)
 
     def _take(self) -> tuple[list[bytes | memoryview], int]:
-        """Return the buffers to be sent next, and the number of messages that begin in them."""
-        if self._rest is not None:
-            rest, self._rest = self._rest, None
+        """Return the buffers to be sent next, and the number of messages that begin in them.
+
+        They are the rest of a message, one large message, or small ones together.
+        """
+        if self._unsent is not None:
+            rest, self._unsent = self._unsent, None
             return [rest], 0
         if len(self._queue[0]) > SEND_BATCH_BYTES:
             wire = self._queue.popleft()
@@ -185,13 +194,15 @@ class _Link:
         return [b"".join(taken)], len(taken) // 2
 
     def _send(self, data: bytes | memoryview) -> None:
+        """Send all of a buffer; this may block for as long as the subscriber does not read."""
         view = memoryview(data)
         while view:
             sent = self.transport.socket.send(view[:PIECE_BYTES])
             view = view[sent:]
-            self._count(sent, 0)
+            self._note_sent(sent, 0)
 
-    def _count(self, nbytes: int, messages: int) -> None:
+    def _note_sent(self, nbytes: int, messages: int) -> None:
+        """Note that bytes were sent, and that messages were begun, in rospy's statistics too."""
         if nbytes:
             self.moved = time.monotonic()
         self.transport.stat_bytes += nbytes
@@ -207,10 +218,14 @@ class Publication(_PublisherImpl):
         self.ref_count = 1
         self._kind = kind
         self.published = 0
+        """Number of messages that were published."""
         self._queue_size = queue_size
         self._missed = 0  # number of messages that former subscribers missed
         self._latched: dict[Hashable, bytes] = {}
-        self._sending = threading.RLock()  # rospy deletes its own lock when it closes the topic
+        """Last latched message by source, in the order of publication."""
+        # Guards ``_latched``: a new subscriber gets a message as latched or as published, not both.
+        # rospy deletes its own lock when it closes the topic.
+        self._sending = threading.RLock()
 
     @property
     def topic(self) -> str:
@@ -299,6 +314,7 @@ class Publication(_PublisherImpl):
     def _await(
         self, waits: Callable[[_Link], bool], stop: Callable[[], bool], stalled_sec: float
     ) -> None:
+        """Wait while ``waits`` is true of a connection that has moved within ``stalled_sec``."""
         while not stop():
             since = time.monotonic() - stalled_sec
             if not any(waits(link) and link.moved > since for link in self.connections):

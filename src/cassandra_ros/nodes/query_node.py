@@ -126,6 +126,7 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
 
     Raises:
         InvalidName: A node of the same name is running.
+        KeyboardInterrupt, SystemExit: A signal came while it waited for a master.
     """
     await_master()
     with own_name("cassandra_ros", argv) as (name, full, taken):
@@ -247,6 +248,11 @@ class QueryServices:
         return response
 
     def _rows(self, request: RangeRequest, most: int) -> Iterator[StoredRow]:
+        """Yield the rows of a range after its cursor.
+
+        Args:
+            most: Number of rows that the caller takes at most; with a condition more may come.
+        """
         topic = self.ros_cas.getTopic(request.topic)
         low = to_ns(request.key)
         high = to_ns(request.to_key) or None
@@ -283,6 +289,7 @@ class QueryServices:
     def _page(
         self, select: Select, node: str | None, run: str | None, limit: int, cursor: str
     ) -> ExecuteCQLResponse:
+        """Return at most ``limit`` rows of a SELECT, and a cursor if more may follow."""
         with self.ros_cas.statements.select(
             select, node=node, limit=limit + 1, after=cursor, run=run
         ) as result:
@@ -409,6 +416,7 @@ class QueryServices:
 
 
 def _until_shutdown() -> None:
+    """Raise StoreUnavailable if the node ends: called while a statement runs."""
     if rospy.is_shutdown():
         raise StoreUnavailable("the query server ends")
 
@@ -429,7 +437,14 @@ SERVICES: Mapping[str, tuple[type, Callable[..., Response], str]] = {
 
 
 def _definition(request: AddDataRequest, topic: CassandraTopic | None) -> Definition:
-    """Return the definition of a message to be stored, in an existing topic or a new one (None)."""
+    """Return the definition of a message to be stored, in an existing topic or a new one (None).
+
+    It is that of the request, else that of the topic if type and md5 agree, else the installed one.
+
+    Raises:
+        InvalidName: A new topic needs a type.
+        DefinitionError: The definition cannot be used, or has another md5 than the request.
+    """
     kind, md5sum = request.type, request.md5sum or None
     if topic is not None:
         stored = topic.tables[-1].metadata
@@ -502,6 +517,7 @@ def clean(text: str) -> str:
 
 
 def _yaml(row: StoredRow) -> str:
+    """Return a message as YAML, or a comment of YAML that says why it is not shown."""
     if row.size > YAML_BYTES:
         return f"# {row.size} bytes of {row.type} are too many to be shown here: read data"
     try:

@@ -57,13 +57,13 @@ JOIN_SEC = 2.0
 """Maximum time that the end waits for the polling thread, s."""
 CONTEXT_SEC = 3.0
 """Maximum time that the end of a run waits for the parameters requested at its start, s."""
+CONTEXT_TIMEOUT_SEC = 5.0
+"""Maximum time for each of three answers of the master, s."""
 
 Say = Callable[[str], None]
 """Function that prints a line for the user."""
 Topics = Collection[str]
 """Names of topics."""
-CONTEXT_TIMEOUT_SEC = 5.0
-"""Maximum time for each of three answers of the master, s."""
 
 
 class Recorder:
@@ -95,7 +95,9 @@ class Recorder:
         self._options = options
         self._say: Say = _log.info if say is None else say
         self._publisher: rospy.Publisher | None = None
+        """Publisher of the names of runs, with the option publish."""
         self._contexts: list[threading.Thread] = []
+        """Threads that request the parameters of the runs."""
         self._store = _catalog_of(rosCas)
         self._left_runs: LeftRuns | None = None
         self._quota: QuotaKeeper | None = None
@@ -109,20 +111,27 @@ class Recorder:
         )
         self._subscriptions = Subscriptions(self._on_message, options.tcpnodelay, self._broken)
         self._registration = Registration(self._unheard)
-        self._own = _OwnMessages(rospy.get_name()) if options.discovers else None
-        self._left: set[str] = set()
-        """Topics that are not recorded any more."""
-        self._silent: set[str] = set()
+        self._own_messages = _OwnMessages(rospy.get_name()) if options.discovers else None
+        """The messages that are left out; None = no topic is selected when it appears."""
+        self._left_topics: set[str] = set()
+        """Topics that were stopped, or reached the limit: they are not selected again."""
+        self._unheard_topics: set[str] = set()
         """Former topics to which no publisher was ever connected."""
         self._paused: set[str] = set()
         self._all_paused = False
         self._active = self._closed = False
+        """Whether it records now, and whether ``close`` was called."""
         self._interrupts = 0
-        self._hurry = threading.Event()
+        """Number of calls of ``interrupt``, which may come from a signal handler."""
+        self._interrupted = threading.Event()
         self._done = threading.Event()
+        """Set when the recording must end, and by ``close``."""
         self._poller: threading.Thread | None = None
-        self._asked_node = 0.0
+        """Thread of ``_poll``; None = ``start`` was not called yet."""
+        self._node_asked_at = 0.0
+        """Monotonic time at which the node of option --node was asked for last, s; 0 = never."""
         self._mutex = threading.RLock()
+        """Held by ``start``, ``stop`` and each step of ``_poll``: one of them at a time."""
 
     def start(
         self, topics: Topics = (), *, name: str = "", labels: Mapping[str, str] | None = None
@@ -159,13 +168,13 @@ class Recorder:
             if self._snapshots is None and current is None:
                 current = self._series.begin(name, labels)
             self._active = True
-            self._left.difference_update(names or list(self._left))
+            self._left_topics.difference_update(names or list(self._left_topics))
             self._subscribe_chosen(names)
             if first:
                 self._poller = threading.Thread(
                     target=self._poll, name="recorder-poll", daemon=True
                 )
-        self._subscriptions.await_publishers(self._hurry)
+        self._subscriptions.await_publishers(self._interrupted)
         number = len(self._subscriptions.topics)
         self._say(f"recording {number} topic{'' if number == 1 else 's'}")
         if first and self._poller is not None:
@@ -192,7 +201,7 @@ class Recorder:
         with self._mutex:
             if topics:
                 self._leave(names)
-                self._left.update(names)
+                self._left_topics.update(names)
                 return self.reports()
             self._active = False
             self._leave(self._subscriptions.topics)
@@ -342,7 +351,7 @@ class Recorder:
         if self._snapshots is not None:
             # Before the first snapshot: the counts of received messages, of which none is stored.
             written = list(self._snapshots.reports) or [self._snapshots.counts()]
-        silent = self._silent | self._subscriptions.unheard()
+        silent = self._unheard_topics | self._subscriptions.unheard()
         return [
             replace(report, published=report.topic not in silent or report.received > 0)
             for report in merge_reports([self._series.reports(), *written])
@@ -355,10 +364,11 @@ class Recorder:
     def interrupt(self) -> None:
         """Shorten waiting: the first call ends that of ``start``, the second that of ``close``.
 
-        ``close`` then drops the messages that wait for the store.
+        The messages that wait for the store are then lost, or stay in the spool. A signal handler
+        may call it.
         """
         self._interrupts += 1
-        self._hurry.set()
+        self._interrupted.set()
 
     def close(self) -> list[TopicReport]:
         """End the run as ``stop`` does, and the recorder; return the reports over all its runs."""
@@ -407,6 +417,7 @@ class Recorder:
         return names
 
     def _subscribe_chosen(self, names: Sequence[str]) -> None:
+        """Subscribe to some topics (resolved names), or without names to those of the options."""
         if names:
             for topic in names:
                 self._subscribe(topic)
@@ -433,27 +444,30 @@ class Recorder:
             if current is not None:
                 now = current.now()
                 current.lose(topic, LossKind.NOT_READ, 1, now, now)
-        self._silent |= self._subscriptions.unheard().intersection(topics)
+        self._unheard_topics |= self._subscriptions.unheard().intersection(topics)
         self._subscriptions.remove(topics)
         self._paused.difference_update(topics)
 
     def _gives_up(self) -> bool:
+        """Return whether the user does not wait for the store, and the sockets, any longer."""
         return self._interrupts > 1
 
     def _on_message(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
-        if self._own is not None and self._own.said(topic, header, wire):
+        """Record a message; called on the threads of the publishers' connections."""
+        if self._own_messages is not None and self._own_messages.has(topic, header, wire):
             return
         paused = self._all_paused or topic in self._paused
         sink = self._series if self._snapshots is None else self._snapshots
         sink.received(topic, header, wire, paused=paused)
 
     def _unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
+        """Note a time range in which publishers of a topic were not heard, see Registration."""
         current = self._series.current
         if current is not None:
             current.unheard(topic, first_ns, last_ns)
 
     def _broken(self, topic: str, seconds: float) -> None:
-        """Note a time up to now in which a publisher was not heard."""
+        """Note a time up to now in which a publisher was not heard, see ``subscribe``."""
         current = self._series.current
         if current is not None and topic in self._subscriptions.topics:
             last = current.now()
@@ -485,15 +499,18 @@ class Recorder:
                     _log.error("the recorder could not check its topics: %s", exc)
 
     def _discover(self, announce: bool) -> None:
+        """Subscribe to the topics that the options select now; say so with ``announce``."""
         try:
-            published = [] if self._own is None else published_topics(self._own.name)
-            selected = [topic for topic in published if self._options.chooses(topic)]
+            selected: list[str] = []
+            if self._own_messages is not None:
+                published = published_topics(self._own_messages.name)
+                selected = [topic for topic in published if self._options.chooses(topic)]
             selected += self._of_node()
         except MASTER_ERRORS as exc:
             _log.debug("new topics are not seen: %s", exc)  # the registration warns
             self._done.wait(1.0)
             return
-        ignored = self._left.union(self._subscriptions.topics)
+        ignored = self._left_topics.union(self._subscriptions.topics)
         for topic in selected:
             if topic not in ignored:
                 if announce:
@@ -503,9 +520,9 @@ class Recorder:
     def _of_node(self) -> Iterable[str]:
         """Return, every NODE_POLL_SEC, the topics that the node of option --node subscribes to."""
         now = time.monotonic()
-        if not self._options.node or now < self._asked_node + NODE_POLL_SEC:
+        if not self._options.node or now < self._node_asked_at + NODE_POLL_SEC:
             return ()
-        first, self._asked_node = not self._asked_node, now
+        first, self._node_asked_at = not self._node_asked_at, now
         node = rospy.resolve_name(self._options.node)
         topics = subscribed_topics(node)
         if first and not topics:
@@ -518,7 +535,7 @@ class Recorder:
         if not (self._options.limit and topics):
             return False
         complete = [topic for topic in topics if self._series.is_complete(topic)]
-        self._left.update(complete)
+        self._left_topics.update(complete)
         self._subscriptions.remove(complete)
         return len(complete) == len(topics)
 
@@ -546,8 +563,11 @@ class _OwnMessages:
         self.name = name
         """Full name of the node."""
 
-    def said(self, topic: str, header: Mapping[str, str], wire: bytes) -> bool:
-        """Return whether this node sent a message: by its publisher, on /rosout_agg by Log.name."""
+    def has(self, topic: str, header: Mapping[str, str], wire: bytes) -> bool:
+        """Return whether this node sent a message: by its publisher, on /rosout_agg by Log.name.
+
+        /rosout_agg is published by the node rosout, for all others.
+        """
         if header.get("callerid") == self.name:
             return True
         return topic == "/rosout_agg" and log_name(wire) == self.name
@@ -569,7 +589,7 @@ def log_name(wire: bytes) -> str:
 
 
 def take_context() -> RunContext:
-    """Return parameters and node graph of the master.
+    """Return parameters and node graph, as the master has them.
 
     Raises:
         MASTER_ERRORS: The master does not answer.

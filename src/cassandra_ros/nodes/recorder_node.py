@@ -44,7 +44,7 @@ def record(
     say: Say,
     show: Show | None = None,
 ) -> tuple[list[TopicReport], str]:
-    """Record until a signal, the master, the options or a problem ends it.
+    """Record until a signal, the master, the options or a problem ends it; then end the node.
 
     Args:
         store: A future of a RosCassandra connected to a keyspace.
@@ -63,7 +63,8 @@ def record(
         if not began:  # a started recording stores its messages with more patience
             store.result().cassandra.outage.hurry()
 
-    # A connected store is waited for here; messages for one that is not connected wait in memory.
+    # A connected store is waited for here, until the run has started in it: a signal ends that.
+    # Messages for one that is not connected wait in memory.
     began = not store.done()
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -41,13 +41,16 @@ publishers may have been missed. It is called on the thread that checks the regi
 
 
 class _Registrations(NamedTuple):
-    """The registrations of this node, each as (name, type or URI)."""
+    """The registrations of this node: three kinds, in the order of getSystemState."""
 
     publications: set[tuple[str, str]]
+    """Topics with their types."""
     subscriptions: set[tuple[str, str]]
+    """Topics with their types."""
     services: set[tuple[str, str]]
+    """Services with their URIs."""
 
-    def but(self, state: Any) -> _Registrations:
+    def not_in(self, state: Any) -> _Registrations:
         """Return the registrations that a master does not list in ``state`` (getSystemState)."""
         me, missing = rospy.get_name(), []
         for mine, entries in zip(self, state):
@@ -55,12 +58,13 @@ class _Registrations(NamedTuple):
             missing.append({(name, kind) for name, kind in mine if name not in listed})
         return _Registrations(*missing)
 
-    def still(self, ours: _Registrations) -> _Registrations:
+    def common(self, other: _Registrations) -> _Registrations:
         """Return the registrations that are in both."""
-        return _Registrations(*(mine & others for mine, others in zip(self, ours)))
+        return _Registrations(*(mine & others for mine, others in zip(self, other)))
 
 
 def _own_registrations() -> _Registrations:
+    """Return the registrations that rospy has for this node; none once it shuts down."""
     # At shutdown rospy unregisters everything before is_shutdown() is true, but still lists it.
     if is_shutdown_requested():
         return _Registrations(set(), set(), set())
@@ -83,8 +87,10 @@ class Registration:
         self._on_unheard = on_unheard
         self._stop = threading.Event()
         self._away_since: float | None = None
+        """Monotonic time at which the master did not answer first, s; None = it answers."""
         self._known_ns = 0
-        """Last time at which the master listed all registrations of this node, ns."""
+        """Last time at which the master listed all registrations of this node, ns; 0 = the time was
+        not known then."""
         self._thread = threading.Thread(target=self._watch, name="registration", daemon=True)
 
     def start(self) -> Registration:
@@ -100,9 +106,10 @@ class Registration:
             self._thread.join(JOIN_SEC)
 
     def _watch(self) -> None:
+        """Check the registrations each POLL_SEC, on a thread."""
         while not self._stop.wait(POLL_SEC) and not is_shutdown_requested():
             try:
-                self._look()
+                self._check()
             except MASTER_ERRORS as exc:
                 if self._away_since is None:
                     self._away_since = time.monotonic()
@@ -112,7 +119,7 @@ class Registration:
                         exc,
                     )
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         """Register again what the master does not list; raises one of MASTER_ERRORS."""
         master = master_proxy(TIMEOUT_SEC)
         # In this order: rospy itself registers what is made between the two lines.
@@ -120,7 +127,7 @@ class Registration:
         _, _, state = master.getSystemState(rospy.get_name())
         seen_ns = _now()
         # Registrations that were removed while the master answered are not missing.
-        missing = ours.but(state).still(_own_registrations())
+        missing = ours.not_in(state).common(_own_registrations())
         if is_shutdown_requested() or self._stop.is_set():
             return
         if any(missing):
@@ -140,6 +147,7 @@ class Registration:
         self._known_ns = seen_ns
 
     def _register(self, master: Any, missing: _Registrations) -> None:
+        """Register with the master, as rospy did at first; connect to publishers that it names."""
         me, uri = rospy.get_name(), rospy.get_node_uri()
         for name, kind in missing.publications:
             master.registerPublisher(me, name, kind, uri)
@@ -158,7 +166,7 @@ class Registration:
             master.unregisterPublisher(me, name, uri)
         for name, service_uri in missing.services - present.services:
             master.unregisterService(me, name, service_uri)
-        self._tell(sorted(unheard))
+        self._tell_unheard(sorted(unheard))
 
     def _connect(self, topic: str, publishers: list[str]) -> bool:
         """Let rospy connect to the publishers of a topic; return whether one of them is new."""
@@ -170,7 +178,8 @@ class Registration:
                 update(topic, publishers)
         return any(uri not in connected and uri != rospy.get_node_uri() for uri in publishers)
 
-    def _tell(self, topics: list[str]) -> None:
+    def _tell_unheard(self, topics: list[str]) -> None:
+        """Tell that topics have publishers that were not heard since ``_known_ns``."""
         first, last = self._known_ns, _now()
         if not topics:
             return

@@ -36,11 +36,13 @@ _log = logging.getLogger(__name__)
 SERVICES: Mapping[str, type] = {"status": ReplicatorStatus, "pause": Trigger, "resume": Trigger}
 """The services with their classes."""
 TICK_SEC = 0.2
+"""Interval at which the state is checked, s."""
 PUBLISH_SEC = 5.0
 """Interval at which the status is published, s."""
 LATE_SEC = 60.0
 """Recorded time that waits, from which the level of a topic is WARN, s."""
 Say = Callable[[str], object]
+"""Function that prints a line for the user."""
 
 
 def start_node(argv: Sequence[str]) -> Mapping[str, object]:
@@ -51,8 +53,10 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
 def follow(follower: Follower, say: Say, *, diagnostics: bool, no_services: bool) -> str:
     """Copy until a signal, the master or a problem ends it; return the problem, '' = none.
 
+    The node has ended then.
+
     Args:
-        follower: What copies.
+        follower: Copies the topics; started and ended here.
         say: Prints a line for the user.
         diagnostics: Whether to publish the status on /diagnostics.
         no_services: Whether to offer no services.
@@ -69,21 +73,23 @@ def follow(follower: Follower, say: Say, *, diagnostics: bool, no_services: bool
             handlers = _Handlers(follower)
             services = [(f"~{n}", kind, getattr(handlers, n)) for n, kind in SERVICES.items()]
             offer_services(services, say, none=no_services)
-            _tick(follower, ending, _Diagnostics() if diagnostics else None, say)
+            _say_states(follower, ending, _Diagnostics() if diagnostics else None, say)
         return follower.problem
     finally:
         rospy.signal_shutdown("the replicator has ended")
 
 
-def _tick(
+def _say_states(
     follower: Follower, ending: threading.Event, diagnostics: _Diagnostics | None, say: Say
 ) -> None:
+    """Say each new state, and publish the status each PUBLISH_SEC, until the node is to end."""
     state, due = "", 0.0
     while not (ending.wait(TICK_SEC) or rospy.is_shutdown() or follower.ended):
         status = follower.status
         if status.state != state:
             state = status.state
-            say(f"{state} {status.place}".rstrip() + (f": {status.reason}" * bool(status.reason)))
+            reason = f": {status.reason}" if status.reason else ""
+            say(f"{state} {status.place}".rstrip() + reason)
         if diagnostics is not None and time.monotonic() >= due:
             due = time.monotonic() + PUBLISH_SEC
             diagnostics.publish(status)

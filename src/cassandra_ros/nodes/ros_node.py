@@ -32,10 +32,13 @@ from cassandra_ros.printable import shown_lines
 _log = logging.getLogger(__name__)
 
 _OURS = "cassandra_ros"
+"""Name of the logger of this package."""
 _ROSPY = "rosout"
 """Name of the logger that rospy.logwarn and similar functions use."""
 _LOG = "/rosout"
+"""Topic of the log."""
 _STAMP = struct.Struct("<II")
+"""A serialised rosgraph_msgs/Clock."""
 _NAME = "__name:="
 """Start of the command line word that sets the name of a node."""
 _TIMEOUT_SEC = 2.0
@@ -119,6 +122,9 @@ def start_named_node(
         argv: The command line.
         signals: Whether rospy handles SIGINT and SIGTERM.
         rosout: Whether the log goes to the topic that /rosout is remapped to; False = to /rosout.
+
+    Raises:
+        KeyboardInterrupt, SystemExit: A signal came while it waited for a master.
     """
     await_master()
     with own_name(default, argv) as (name, full_name, taken):
@@ -274,7 +280,7 @@ def follow_clock() -> None:
     """
     if rospy.get_param("/use_sim_time", False):
         rospy.rostime._set_rostime(rospy.Time(0, 0))
-        subscribe("/clock", _take)
+        subscribe("/clock", _set_time)
 
 
 def ros_now_ns() -> int:
@@ -291,6 +297,7 @@ def ros_now_ns() -> int:
     return now
 
 
-def _take(topic: str, header: Mapping[str, str], wire: bytes) -> None:
+def _set_time(topic: str, header: Mapping[str, str], wire: bytes) -> None:
+    """Set rospy's time from a message of /clock; one of another type is ignored."""
     if len(wire) == _STAMP.size:
         rospy.rostime._set_rostime(rospy.Time(*_STAMP.unpack(wire)))

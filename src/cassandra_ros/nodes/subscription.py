@@ -53,7 +53,6 @@ BUFF_SIZE = 16 * 1024 * 1024
 # Not POLLHUP, which is also set before a socket is connected.
 _HUNG_UP = select.POLLRDHUP | select.POLLERR
 _CLOSING = "#closing"
-
 """Suffix of the endpoint id of an old connection that is still being read."""
 
 MAX_HEADER_BYTES = 16 * 1024 * 1024
@@ -69,6 +68,7 @@ TOLD_SEC = 2.0
 """Time before the end of a connection in which the master may have named its publisher because
 another process publishes there now, s."""
 _POLL_SEC = 0.05
+"""Interval at which it is checked whether a publisher has sent its header, s."""
 
 OnGap = Callable[[str, float], None]
 """Function called with a topic and the time, s, up to now in which a publisher was not heard,
@@ -131,7 +131,12 @@ def was_heard(subscriber: rospy.Subscriber) -> bool:
 
 
 class _Subscription(_SubscriberImpl):
-    """The implementation of a subscription in rospy, with the repairs described above."""
+    """The implementation of a subscription in rospy, with the repairs described above.
+
+    rospy calls its methods on the threads of the connections, and has one thread for each attempt
+    to connect. A connection gets two further attributes here: ``heard``, the monotonic time of its
+    last message, s, and ``handled``, the number of its bytes that were handed to the callbacks.
+    """
 
     def __init__(
         self, name: str, pass_on: Callable[[rospy.AnyMsg], None], tcp_nodelay: bool
@@ -140,6 +145,7 @@ class _Subscription(_SubscriberImpl):
         self.set_buff_size(BUFF_SIZE)
         self.set_tcp_nodelay(tcp_nodelay)
         self._connecting: dict[str, threading.Thread] = {}
+        """URI of a publisher -> thread that connects to it."""
         self._named: dict[str, float] = {}
         """URI of a connected publisher -> time at which the master last named it, monotonic, s."""
         self.on_gaps: list[OnGap] = []
@@ -148,7 +154,10 @@ class _Subscription(_SubscriberImpl):
         self.add_callback(pass_on, None)
 
     def has_connection(self, endpoint_id: str) -> bool:
-        """Return whether a publisher is connected; wait for another thread that connects to it."""
+        """Return whether a publisher is connected; wait for another thread that connects to it.
+
+        rospy calls it before it connects to a publisher, and does not connect if it is True.
+        """
         me = threading.current_thread()
         while not rospy.is_shutdown():
             with self.c_lock:
@@ -183,10 +192,8 @@ class _Subscription(_SubscriberImpl):
             was_named = self._named.pop(again, -TOLD_SEC) > time.monotonic() - TOLD_SEC
             if not (was_named or _is_greeted(c)) or self.closed or rospy.is_shutdown():
                 return
-        heard = getattr(c, "heard", time.monotonic())
-        threading.Thread(
-            target=self._reconnect, args=(again, None if was_named else heard), daemon=True
-        ).start()
+        heard = None if was_named else getattr(c, "heard", time.monotonic())
+        threading.Thread(target=self._reconnect, args=(again, heard), daemon=True).start()
 
     def _reconnect(self, uri: str, heard: float | None) -> None:
         """Connect to a publisher again; one that has ended or left the topic refuses.
@@ -215,6 +222,7 @@ class _Subscription(_SubscriberImpl):
             )
 
     def _connections_to(self, uri: str) -> list[Transport]:
+        """Return the connections to a publisher that have not ended."""
         return [c for c in list(self.connections or ()) if c.endpoint_id == uri and not c.done]
 
     def _await_greeting(self, uri: str) -> bool:
@@ -253,11 +261,12 @@ def _has_hung_up(connection: Transport) -> bool:
 
 
 def _is_read(connection: Transport) -> bool:
+    """Return whether all bytes that have come over a connection were handed to the callbacks."""
     sock = connection.socket
     if sock is None or connection.done:
         return True
     try:
-        # In this order: bytes are counted before they leave the socket.
+        # The socket first: its bytes are counted as received before they leave it.
         unread = unread_bytes(sock)
     except (OSError, ValueError):
         return True
@@ -270,9 +279,12 @@ def unread_bytes(sock: socket.socket) -> int:
 
 
 def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
-    """Append the available bytes to ``b``, as recv_buff of rospy does.
+    """Wait for bytes and append them to ``b``, as recv_buff of rospy does; return their number.
 
     They are counted before they leave the socket.
+
+    Raises:
+        TransportTerminated: The connection broke, or the publisher has closed it.
     """
     try:
         poller = select.poll()
@@ -293,6 +305,10 @@ def read_header(sock: socket.socket, b: io.BytesIO, buff_size: int) -> dict[str,
     """Read a connection header as rosgraph does, but keep bytes that are not UTF-8.
 
     Afterwards ``b`` has the bytes that were received after the header.
+
+    Raises:
+        TransportInitError: The publisher has closed the connection, or the header is too large or
+            broken.
     """
     while b.tell() < 4 or b.tell() - 4 < _length(b.getvalue())[0]:
         if sock.recv(1, socket.MSG_PEEK):

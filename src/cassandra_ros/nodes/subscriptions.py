@@ -107,7 +107,7 @@ class Subscriptions:
     def drain(
         self, topics: Collection[str], count: Callable[[str], int], give_up: Callable[[], bool]
     ) -> list[str]:
-        """Wait until each connection was empty once: then all earlier messages were handled.
+        """Wait until all connections of a topic were empty once: earlier messages are handled then.
 
         Args:
             topics: Names of the topics.
@@ -119,7 +119,7 @@ class Subscriptions:
         """
         with self._mutex:
             waiting = {t: subscriber for t, subscriber in self._subscribers.items() if t in topics}
-        seen, ends = -1, 0.0
+        seen, ends = -1, 0.0  # number of messages, and when to stop if no more come
         last = time.monotonic() + MAX_DRAIN_SEC
         while waiting:
             waiting = {
