@@ -232,6 +232,7 @@ class HistorySubscriber:
 
 
 def _check(data_class: Any, callback: Any) -> None:
+    """Raise InvalidOption for what is no message class, or cannot be called."""
     if not (isinstance(data_class, type) and issubclass(data_class, rospy.Message)):
         raise InvalidOption(f"data_class={data_class!r:.80} is not a class of messages")
     if not callable(callback):
@@ -239,6 +240,7 @@ def _check(data_class: Any, callback: Any) -> None:
 
 
 def _resolve_topic(topic: str) -> str:
+    """Return the name on the ROS graph; raises InvalidName."""
     return str(rospy.resolve_name(check_ros_name(check_topic(topic))))
 
 

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 from typing import Mapping
 
-import rospy
-
 from cassandra_ros.arguments import exact_json
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.nodes.ros_node import ros_time
 from cassandra_ros.srv import MarkResponse
 from cassandra_ros.store.tables.event_table import Event
 
@@ -32,4 +30,4 @@ def pack_event(event: Event, response: MarkResponse) -> None:
     """Write the event that a call began or ended into its answer."""
     response.key, response.lasting = event.key, event.end_ns is None
     ns = event.start_ns if event.end_ns is None else event.end_ns
-    response.time = rospy.Time(*divmod(ns, SECOND_NS))
+    response.time = ros_time(ns)

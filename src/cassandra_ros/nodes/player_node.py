@@ -18,7 +18,7 @@ from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
 from cassandra_ros.nodes.player import Player, PlayerState
-from cassandra_ros.nodes.ros_node import offer_services, start_named_node
+from cassandra_ros.nodes.ros_node import offer_services, ros_time, start_named_node
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.srv import (
@@ -109,6 +109,7 @@ def play(
 
 
 def _say_what(player: Player, say: Say) -> None:
+    """Say how many topics are played, and for how long."""
     status = player.status()
     topics, ranges = status.topics, len(player.stream.windows)
     latched = sum(topic.latched for topic in topics)
@@ -174,8 +175,8 @@ class PlayerServices:
         try:
             now = self._player.step(request.count or 1)
         except CassandraRosError as exc:
-            return StepResponse(False, str(exc), _time(self._player.status().time))
-        return StepResponse(True, "", _time(now))
+            return StepResponse(False, str(exc), ros_time(self._player.status().time))
+        return StepResponse(True, "", ros_time(now))
 
     def seek(self, request: SeekRequest) -> SeekResponse:
         """Go on at another time."""
@@ -183,8 +184,8 @@ class PlayerServices:
         try:
             t_ns = self._player.seek(text if text else request.time)
         except CassandraRosError as exc:
-            return SeekResponse(False, str(exc), _time(self._player.status().time))
-        return SeekResponse(True, "", _time(t_ns))
+            return SeekResponse(False, str(exc), ros_time(self._player.status().time))
+        return SeekResponse(True, "", ros_time(t_ns))
 
     def set_rate(self, request: SetRateRequest) -> SetRateResponse:
         """Change the factor of speed."""
@@ -205,9 +206,9 @@ class PlayerServices:
         return PlayerStatusResponse(
             success=True,
             state=now.state,
-            time=_time(now.time),
-            start=_time(now.start),
-            end=_time(now.end),
+            time=ros_time(now.time),
+            start=ros_time(now.start),
+            end=ros_time(now.end),
             rate=now.rate,
             loop=self._player.options.loop,
             published=sum(topic.published for topic in now.topics),
@@ -216,7 +217,3 @@ class PlayerServices:
             read_ahead=now.read_ahead,
             topics=[PlayedTopic(**topic._asdict()) for topic in now.topics],
         )
-
-
-def _time(ns: int) -> rospy.Time:
-    return rospy.Time(*divmod(max(0, ns), SECOND_NS))

@@ -32,7 +32,7 @@ from cassandra_ros.errors import (
     InvalidOption,
     StoreUnavailable,
 )
-from cassandra_ros.keys import SECOND_NS, RowName, decode_cursor, encode_cursor
+from cassandra_ros.keys import RowName, decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import (
     exact_message,
     installed_definition,
@@ -51,6 +51,7 @@ from cassandra_ros.nodes.ros_node import (
     forward_logging,
     offer_services,
     own_name,
+    ros_time,
 )
 from cassandra_ros.query.tree.json_values import AnswerBound, from_json
 from cassandra_ros.query.tree.parse import parse_statement
@@ -372,7 +373,7 @@ class QueryServices:
         topic = store.catalog.add(with_key(wish, None, ""), None, ask_master=False)
         key = topic.addData(msg, key=when, nodeID=request.node_id)
         t_ns = key.t if isinstance(key, RowName) else to_ns(key)
-        return AddDataResponse(True, "", _time(t_ns), clean(str(key)))
+        return AddDataResponse(True, "", ros_time(t_ns), clean(str(key)))
 
     def mark(self, request: MarkRequest) -> MarkResponse:
         """Answer Mark."""
@@ -475,14 +476,10 @@ def _stored_topic(info: TopicInfo) -> StoredTopic:
         found_by=info.key,
         messages=info.count,
         bytes=info.bytes,
-        first=_time(info.first_ns or 0),
-        last=_time(info.last_ns or 0),
+        first=ros_time(info.first_ns or 0),
+        last=ros_time(info.last_ns or 0),
         lost=info.lost,
     )
-
-
-def _time(t_ns: int) -> rospy.Time:
-    return rospy.Time(*divmod(t_ns, SECOND_NS))
 
 
 def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
@@ -495,7 +492,7 @@ def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
         what = f"the message of {row.size} bytes at {row.key} of topic {clean(row.topic)}"
         AnswerBound(what, _ELSEWHERE).count_part(row.size)
     return StoredMessage(
-        key=_time(row.t),
+        key=ros_time(row.t),
         key_text=clean(row.name) or (iso_time(row.t) if row.table.value_part else str(row.t)),
         node_id=clean(row.node),
         topic=clean(row.topic),

@@ -431,6 +431,7 @@ class Recorder:
         self._discover(announce=False)
 
     def _subscribe(self, topic: str) -> None:
+        """Record a topic, by its resolved name; list it also if no message comes."""
         self._series.expect(topic)
         if self._snapshots is not None:
             self._snapshots.expect(topic)

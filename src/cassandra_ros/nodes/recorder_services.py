@@ -61,7 +61,7 @@ class _Services:
     def of_topics(
         self, work: Callable[[RecordTopicsRequest], None]
     ) -> Callable[[RecordTopicsRequest], RecordTopicsResponse]:
-        """Return a handler that calls ``work`` and answers whether it succeeded."""
+        """Return a handler that calls ``work`` and answers its error and the name of the run."""
 
         def handle(request: RecordTopicsRequest) -> RecordTopicsResponse:
             problem = _attempt(lambda: work(request))

@@ -25,6 +25,7 @@ from xml.parsers.expat import ExpatError
 import rospy
 
 from cassandra_ros.errors import ClockNotSet
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.ros_master import MasterTransport, master_answers, master_uri
 from cassandra_ros.nodes.subscription import subscribe
 from cassandra_ros.printable import shown_lines
@@ -295,6 +296,11 @@ def ros_now_ns() -> int:
     if not now:
         raise ClockNotSet("simulated time is in use and no /clock message had come")
     return now
+
+
+def ros_time(ns: int) -> rospy.Time:
+    """Return a time, ns, as messages of ROS have it; a negative one as 0."""
+    return rospy.Time(*divmod(max(0, ns), SECOND_NS))
 
 
 def _set_time(topic: str, header: Mapping[str, str], wire: bytes) -> None:

@@ -95,6 +95,7 @@ class Pace:
     def _change(
         self, rate: float | None = None, add: str | None = None, remove: str | None = None
     ) -> None:
+        """Change the rate, and add or remove a reason to stand; the time of the replay stays."""
         with self._lock:
             state, clock = self._state, self._clock()
             holds = (state.holds | ({add} if add else set())) - ({remove} if remove else set())

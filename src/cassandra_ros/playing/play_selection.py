@@ -110,6 +110,7 @@ def chosen_topics(store: PlayedStore, selection: PlaySelection) -> list[str]:
 
 
 def _is_readable(store: PlayedStore, topic: str) -> bool:
+    """Return whether the messages of a topic can be read here; log why not."""
     try:
         store.check_readable(topic)
     except DefinitionError as exc:
@@ -150,6 +151,7 @@ class PublishedNames:
         return name
 
     def _published_name(self, topic: str, source: str) -> str:
+        """Return the published name of a topic, with leading slash, see ``of``."""
         robot = f"/{source}" if source else ""
         full = _with_slash(self._prefix + robot + topic)
         if full in self._remap:

@@ -110,6 +110,7 @@ class PlaySource:
 
     @cached_property
     def _finder(self) -> Latched[PlayedRow]:
+        """Finder of its latched messages; made once, because it reads the connections."""
         return self.store.latched(self.topics, self.whose, self.where)
 
     def latched(

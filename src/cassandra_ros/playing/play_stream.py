@@ -125,8 +125,10 @@ class PlayStream:
         self._played_before = list(accumulate(lengths, initial=0))
         """Time that is played before each window, and in all, ns."""
         self.start_ns, self.end_ns = self.windows[0].low, self.windows[-1].high
-        self._robot_names = self._source_names() if selection.node_prefix else {}
+        self._robot_names: Mapping[Source, str] = {}
         """Name before the topics by robot and writer, with the option node_prefix."""
+        if selection.node_prefix:
+            self._robot_names = source_names(self._stored_ranges, store.run_names(), self._align)
 
     def _find_stored_ranges(self) -> list[StoredRange]:
         """Return the time ranges of the selected runs; set ``_whose``. Raises MessageNotFound."""
@@ -189,9 +191,6 @@ class PlayStream:
         reasons += [f"is of event {self._event.name!r:.80}"] if self._event is not None else []
         text = " or ".join(reasons)
         raise MessageNotFound(f"no message of the selection is left: no message {text}")
-
-    def _source_names(self) -> dict[Source, str]:
-        return source_names(self._stored_ranges, self._store.run_names(), self._align)
 
     def _name_of(self, topic: str, node: str, writer: int) -> str:
         """Return the name under which a topic of a run is published."""
@@ -415,6 +414,7 @@ def _merge(sources: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:
 
 
 def _order(timed: _Timed) -> tuple[int, str, int, str]:
+    """Return the position of a row in the order of the replay: time, node, counter and table."""
     t, row = timed
     return t, row.node, row.seq, row.table.name
 

@@ -75,6 +75,7 @@ def check_length(name: str, seconds: object) -> int | None:
 
 
 def _number(text: str) -> Decimal | None:
+    """Return the number that a text is; None if it is none, as an ISO 8601 time."""
     match = _NUMBER.fullmatch(text)
     return None if match is None else Decimal(match[1])
 
@@ -115,6 +116,7 @@ def resolve_times(
 
 
 def _time_of(received: TimeRange, when: When) -> int:
+    """Return a time, or one that is relative to the first message, ns."""
     return when.ns + received.low if when.relative else when.ns
 
 
@@ -123,6 +125,7 @@ def _when_text(received: TimeRange, when: When) -> str:
 
 
 def _too_early(received: TimeRange, when: When) -> str:
+    """Return that a time lies before all messages, and what may have been meant, as text."""
     meant = other_unit(when.ns, received.low)
     text = f"{iso_time(_time_of(received, when))}, lies before {_reach(received)}"
     return f"{text}; {meant}" if meant else text

@@ -240,6 +240,7 @@ class Playback:
         return changed
 
     def _has_stepped(self) -> bool:
+        """Return whether no step is left, or will be published any more."""
         return not self._steps or self._finished or self._at_end
 
     def prepare(self) -> None:
@@ -335,6 +336,7 @@ class Playback:
         return True
 
     def _read(self, t: int) -> ReadAhead:
+        """Begin to read the messages from ``t`` on, ns."""
         budget = self._options.read_ahead
         return ReadAhead(self._stream.messages, t, budget, self._changed, self._skipped)
 
@@ -361,6 +363,7 @@ class Playback:
                 self._count_step()
 
     def _count_step(self) -> None:
+        """Count a published message as a step, unless a seek or ``resume`` came meanwhile."""
         with self._changed:
             if self._steps and self.pace.holds(PAUSED):
                 self._steps -= 1

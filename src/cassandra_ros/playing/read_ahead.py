@@ -143,6 +143,7 @@ class ReadAhead:
         self._room.set()
 
     def _run(self, t: int) -> None:
+        """Read to the end, on the thread; keep the error for ``next_message``."""
         error: BaseException | None = None
         try:
             self._read(t)

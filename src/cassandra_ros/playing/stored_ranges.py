@@ -50,6 +50,7 @@ def stored_ranges(
 
 
 def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[StoredRange]:
+    """Take the times from the directory; only rows of open buckets are counted."""
     by_run: dict[tuple[str, int], list[BucketRow]] = {}
     for row in buckets_of(keyspace.directory, table, Whose(nodes)):
         by_run.setdefault((row.node, row.writer), []).append(row)

@@ -499,6 +499,7 @@ class Backlog:
         kind: LossKind = LossKind.SPOOL_FULL,
         why: str = "option --spool-size",
     ) -> None:
+        """Count messages as lost, by topic."""
         for topic, total in totals.items():
             self._lose(topic, total.count, kind, total.first_ns, total.last_ns, why)
 

@@ -72,6 +72,7 @@ class Filters:
             return self._make(topic)
 
     def _make(self, topic: str) -> TopicFilter | None:
+        """Make and keep the filter of a topic; None where it needs none."""
         settings = self._settings.of(topic)
         watches = self._watches(topic)
         topic_filter = None

@@ -57,6 +57,7 @@ class LeftRuns:
         self._thread.join(timeout_sec)
 
     def _run(self) -> None:
+        """Drain what is there, then look each LOOK_SEC for what other processes have left."""
         try:
             while not self._stopped.is_set():
                 for folder in self._plan.folder.left():

@@ -231,6 +231,7 @@ class PlaceKeeper:
             self._thread.join(END_SEC)
 
     def _run(self) -> None:
+        """Index each NOTE_SEC until the end; then take no message any more."""
         try:
             while not self._ending.wait(NOTE_SEC):
                 self._try_to_note(last=False)

@@ -49,6 +49,7 @@ class QuotaKeeper:
         self._thread.join(timeout_sec)
 
     def _run(self) -> None:
+        """Check the size at intervals, once the store is connected."""
         pause_sec = 0.0
         while not self._ending.wait(pause_sec):
             if not is_there(self._store):

@@ -234,6 +234,7 @@ class Recording:
     def _lose_some(
         self, topic: str, messages: int, kind: LossKind, first: int, last: int, detail: str
     ) -> None:
+        """Count messages that the spool has lost, see ``backlog.Lose``."""
         self._counts.lost(topic, messages, kind, first, detail, last)
 
     def _open_now(self, may_wait: bool) -> None:
@@ -294,6 +295,7 @@ class Recording:
 
     @staticmethod
     def _thread_of(work: Callable[[], None], name: str) -> threading.Thread:
+        """Start and return a thread that does not keep the process alive."""
         thread = threading.Thread(target=work, name=name, daemon=True)
         thread.start()
         return thread
@@ -434,6 +436,7 @@ class Recording:
             return time.time_ns()
 
     def _lose(self, topic: str, kind: LossKind, detail: str, t: int | None = None) -> None:
+        """Count one received message as lost; ``t`` is its time of reception, ns, None = now."""
         self._counts.lost(topic, 1, kind, self.now() if t is None else t, detail)
 
     def _feed(self, topic: str, header: Mapping[str, str]) -> Feed:
@@ -466,13 +469,9 @@ class Recording:
         with self._lock:
             self._accepting = False
             if self._limit:
-                later._go_on_counting(self._limit_counts())
+                later._earlier_counts = self._limit_counts()
             later.refuse(self._refusal)
             switch()
-
-    def _go_on_counting(self, before: Mapping[str, int]) -> None:
-        """Count messages of an earlier run, by topic, for the limit too."""
-        self._earlier_counts = before
 
     def _limit_counts(self) -> dict[str, int]:
         """Return the number of messages of each topic that count for the limit."""
@@ -904,6 +903,7 @@ class Recording:
         return self._counts.reports(self._stored_counts())
 
     def _stored_counts(self) -> Counter[str]:
+        """Return the number of messages by topic that the store has acknowledged."""
         stored: Counter[str] = Counter()
         for writer in self._writers:
             stored.update({topic: stats.stored for topic, stats in writer.stats().items()})
@@ -911,11 +911,12 @@ class Recording:
 
 
 def _mistake(exc: Exception) -> str:
+    """Return the detail of a loss that an error of this package has caused."""
     return f"internal error: {type(exc).__name__}: {exc}"
 
 
 def _try_to(work: Callable[[], None]) -> None:
-    # Errors are only logged: the final report, which lists the losses, must be returned.
+    """Call ``work`` and only log its error: the final report, with the losses, must be returned."""
     try:
         work()
     except CassandraRosError as exc:

@@ -58,6 +58,7 @@ class _RunStart:
         self._thread.start()
 
     def _run(self) -> None:
+        """Start the run, on the thread; end it again if it was dropped meanwhile."""
         try:
             recording = self._make()
         except CassandraRosError as exc:
@@ -195,6 +196,7 @@ class RunSeries:
     def _make(
         self, name: str, labels: Mapping[str, str], *, limit: int = 0, restored: int = 0
     ) -> Recording:
+        """Start a run in the store, or before it answers; raises what Recording raises."""
         options = self._options
         recording = Recording(
             self._store,
@@ -205,7 +207,7 @@ class RunSeries:
             buffer_bytes=options.buffsize,
             block_sec=options.block_age,
             places=options.places,
-            spool=self._options.spool_plan,
+            spool=options.spool_plan,
             limit=limit,
             name=name,
             labels=labels,

@@ -110,6 +110,7 @@ class MessageRing:
             self.nbytes -= size
 
     def _forget_latched(self, publisher: tuple[str, str]) -> None:
+        """Drop the latched message that is kept for a publisher, if there is one."""
         older = self._latched.pop(publisher, None)
         if older is not None:
             size = len(older[2]) + ITEM_BYTES

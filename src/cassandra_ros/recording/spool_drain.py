@@ -312,6 +312,7 @@ class Drain:
         )
 
     def _writer(self, writer_id: int) -> MessageWriter:
+        """Return the writer that repeats rows under a writer id, without storing a run."""
         writer = self._writers.get(writer_id)
         if writer is None:
             writer = self._writers[writer_id] = MessageWriter(
@@ -564,4 +565,5 @@ class _StoredBlocks:
 
 
 def _time(ns: int) -> datetime:
+    """Return a time, ns since 1970, as cr_run has it."""
     return datetime.fromtimestamp(ns / SECOND_NS, timezone.utc)

@@ -95,6 +95,7 @@ class TableMaker:
             self._thread.join()
 
     def _run(self) -> None:
+        """Make tables until ``close``; those that are asked for meanwhile are made together."""
         ended = False
         while not ended:
             sources = [self._asked.get()]
@@ -210,6 +211,7 @@ def _open(
     format: str | None = None,
     like: TopicMetadata | None = None,
 ) -> Handle:
+    """Return a handle; format and like as for MessageWriter.connect."""
     bucket_ns, span_ns, large = lengths
     return writer.connect(
         connection, bucket_ns, span_ns=span_ns, large=large, format=format, like=like

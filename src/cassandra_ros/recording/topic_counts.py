@@ -321,6 +321,7 @@ class Counts:
             return [self._report(name, stored.get(name, 0)) for name in sorted(self._topics)]
 
     def _report(self, name: str, stored: int) -> TopicReport:
+        """Return the report of a topic; the caller holds the lock."""
         counted = self._topics[name]
         lost = self._losses.of(name)
         gaps = [s.gaps for s in counted.sequences.values() if s.gaps is not None]

@@ -547,6 +547,7 @@ def _just_after(arrival: _Arrival) -> _Arrival:
 
 @lru_cache(maxsize=256)
 def _fields(connection: Connection) -> Mapping[str, str]:
+    """Return the header of a stored connection in the form of a live one."""
     fields = connection.fields.items()
     return {name: value.decode("utf-8", "surrogateescape") for name, value in fields}
 
