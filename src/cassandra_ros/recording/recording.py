@@ -90,7 +90,7 @@ class Recording:
         store: The catalog of the connected keyspace, or a future of it: until it is connected
             messages wait in the buffer.
         clock: Returns the time of reception, ns; raises ClockNotSet while it is unknown.
-        format: Format of topics for which the settings have none, as addTopic takes it.
+        format: Format of all topics, as addTopic takes it; used only without ``settings``.
         settings: Settings of the topics; None = only ``format``.
         filters: Filters that leave messages out; None = those of the settings.
         node: nodeID of the recorded robot.
@@ -110,6 +110,7 @@ class Recording:
     problem = ""
     """Reason why the run cannot be stored at all; '' = it is stored, or may be later."""
     _context: RunContext | None = None
+    """Parameters and node graph that are still to be stored."""
 
     def __init__(
         self,
@@ -188,7 +189,7 @@ class Recording:
         )
         self._queue: Backlog | Buffer = self._backlog or self._buffer
         """Queue from which the writing thread takes messages."""
-        self._left = False
+        self._is_leaving = False
         """Whether messages stay in the spool at the end; set once, by ``_leave``."""
         self._ended = threading.Event()
         """Set at the end: losses are not stored at intervals any more, and the counts become final.
@@ -522,7 +523,7 @@ class Recording:
                 self._backlog.put_aside(list(source.waiting))
                 self._buffer.release_all(list(source.waiting))
                 source.waiting.clear()
-        self._tables.close(wait=not self._left)
+        self._tables.close(wait=not self._is_leaving)
 
     def _await_store(self) -> str:
         """Open the run as soon as the store answers; return why it cannot be opened, else ''."""
@@ -772,13 +773,13 @@ class Recording:
             if settled != settled_before:
                 settled_before, since = settled, time.monotonic()
             patience = SILENT_STORE_SEC if self.is_held_up else SLOW_STORE_SEC
-            if time.monotonic() - since > patience and not self._left:
+            if time.monotonic() - since > patience and not self._is_leaving:
                 self._leave()
-            if self._left and not self._thread.is_alive():
+            if self._is_leaving and not self._thread.is_alive():
                 break  # what is pending is given back when the writers are closed
-        if not self._left and (self.problem or not self.opened):
+        if not self._is_leaving and (self.problem or not self.opened):
             self._leave()
-        if not (self._left or self._thread.is_alive() or self._has_pending()):
+        if not (self._is_leaving or self._thread.is_alive() or self._has_pending()):
             for writer in list(self._writers):  # all is stored: only buckets are to be closed
                 writer.hurry(SLOW_STORE_SEC)
 
@@ -788,11 +789,11 @@ class Recording:
         It does nothing without a spool, if no message waits, or if the recording is closed.
         """
         with self._closing:
-            if self._backlog is None or self._left or self._closed.is_set():
+            if self._backlog is None or self._is_leaving or self._closed.is_set():
                 return
             if not any(report.waiting for report in self.reports()):
                 return
-            self._left = True
+            self._is_leaving = True
             self._backlog.leave()
             for overflows, writer in enumerate(list(self._writers)):
                 writer.give_back(partial(self._backlog.take_back, overflows))
@@ -811,7 +812,7 @@ class Recording:
         if not self._ended.is_set():
             for writer in self._writers:
                 _try_to(writer.flush)
-            if self._left:
+            if self._is_leaving:
                 self._finish_spool()
                 return self.reports()
             self._end_counts()
@@ -820,7 +821,7 @@ class Recording:
         lost = {report.topic: report.lost for report in self.reports() if report.lost}
         for writer in self._writers:
             _try_to(partial(writer.close, lost))
-        if self._backlog is not None and not self._left:
+        if self._backlog is not None and not self._is_leaving:
             self._backlog.close()
         self._closed.set()
         return self.reports()
@@ -864,7 +865,9 @@ class Recording:
         return max(messages, 0), nbytes
 
     def _waiting_for_long(self) -> str:
-        """Return how many messages wait and how long they are kept, as text; '' = none wait."""
+        """Return how many messages wait, as text; '' = none. While the store is away, also how long
+        they are kept.
+        """
         messages, nbytes = self.waiting()
         if not messages:
             return ""
