@@ -139,7 +139,7 @@ class LossLog:
         return max((loss.last_ns for loss in timed), default=-1)
 
     def unsaved(self) -> list[Loss]:
-        """Return the losses that are not stored yet; ``saved`` is to be called with each."""
+        """Return the losses that are not stored yet; ``saved`` then marks one as stored."""
         with self._mutex:
             unsaved = [s for ranges in self._loss_ranges.values() for s in ranges if not s.saved]
             return [loss_range.to_store() for loss_range in unsaved]

@@ -865,8 +865,9 @@ class Recording:
         return max(messages, 0), nbytes
 
     def _waiting_for_long(self) -> str:
-        """Return how many messages wait, as text; '' = none. While the store is away, also how long
-        they are kept.
+        """Return how many messages wait, as text; '' = none.
+
+        While the store is away the text also says how long they are kept.
         """
         messages, nbytes = self.waiting()
         if not messages:
