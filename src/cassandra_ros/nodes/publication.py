@@ -74,8 +74,8 @@ class _Link:
         self._queue: deque[bytes] = deque()
         self._unsent: memoryview | None = None  # unsent end of a message, sent before the queue
         self._busy = False  # whether the thread is sending
-        # Its lock guards what stands above, except while the thread sends: so only one thread at a
-        # time sends, and messages keep their order.
+        # Its lock guards what stands above. The thread sends without it; meanwhile ``_busy`` keeps
+        # ``offer`` from sending, so that messages keep their order.
         self._changed = threading.Condition()
         transport.set_cleanup_callback(self._on_close)
         threading.Thread(target=self._run, daemon=True, name="publisher").start()

@@ -127,15 +127,15 @@ def connected_uris(subscriber: rospy.Subscriber) -> set[str]:
 def was_heard(subscriber: rospy.Subscriber) -> bool:
     """Return whether a publisher was ever connected."""
     impl = subscriber.impl
-    return not isinstance(impl, _Subscription) or impl.heard
+    return not isinstance(impl, _Subscription) or impl.was_heard
 
 
 class _Subscription(_SubscriberImpl):
     """The implementation of a subscription in rospy, with the repairs described above.
 
     rospy calls its methods on the threads of the connections, and has one thread for each attempt
-    to connect. A connection gets two further attributes here: ``heard``, the monotonic time of its
-    last message, s, and ``handled``, the number of its bytes that were handed to the callbacks.
+    to connect. A connection gets two further attributes here: ``heard_at``, the monotonic time of
+    its last message, s, and ``handled``, the number of its bytes that were handed to the callbacks.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class _Subscription(_SubscriberImpl):
         self._named: dict[str, float] = {}
         """URI of a connected publisher -> time at which the master last named it, monotonic, s."""
         self.on_gaps: list[OnGap] = []
-        self.heard = False
+        self.was_heard = False
         """Whether a publisher was ever connected."""
         self.add_callback(pass_on, None)
 
@@ -181,7 +181,7 @@ class _Subscription(_SubscriberImpl):
                     if not old.done and not _has_hung_up(old):
                         return False  # two threads have asked the publisher
                     old.endpoint_id += _CLOSING
-            self.heard = True
+            self.was_heard = True
             return bool(super().add_connection(c))
 
     def remove_connection(self, c: Transport) -> None:
@@ -192,26 +192,26 @@ class _Subscription(_SubscriberImpl):
             was_named = self._named.pop(again, -TOLD_SEC) > time.monotonic() - TOLD_SEC
             if not (was_named or _is_greeted(c)) or self.closed or rospy.is_shutdown():
                 return
-        heard = None if was_named else getattr(c, "heard", time.monotonic())
-        threading.Thread(target=self._reconnect, args=(again, heard), daemon=True).start()
+        heard_at = None if was_named else getattr(c, "heard_at", time.monotonic())
+        threading.Thread(target=self._reconnect, args=(again, heard_at), daemon=True).start()
 
-    def _reconnect(self, uri: str, heard: float | None) -> None:
+    def _reconnect(self, uri: str, heard_at: float | None) -> None:
         """Connect to a publisher again; one that has ended or left the topic refuses.
 
         Args:
-            heard: When it was last heard, monotonic clock, s; None = the master has named it since:
-                it is another process, of which nothing was missed.
+            heard_at: Monotonic time at which it was last heard, s; None = the master has named it
+                since: it is another process, of which nothing was missed.
         """
-        if heard is not None:
+        if heard_at is not None:
             time.sleep(RECONNECT_SEC)  # a publisher that closes at once is not asked all the time
         for listener in list(get_registration_listeners().listeners):
             connect = getattr(listener, "_connect_topic_thread", None)
             if connect is not None and not (self.closed or rospy.is_shutdown()):
                 if self._connections_to(uri):
-                    heard = None  # the master has named it meanwhile
+                    heard_at = None  # the master has named it meanwhile
                 connect(self.name, uri)
-        if heard is not None and self._await_greeting(uri):
-            lasted = time.monotonic() - heard
+        if heard_at is not None and self._await_greeting(uri):
+            lasted = time.monotonic() - heard_at
             for on_gap in list(self.on_gaps):
                 on_gap(self.name, lasted)
             _log.warning(
@@ -237,7 +237,7 @@ class _Subscription(_SubscriberImpl):
     def receive_callback(self, msgs: list[rospy.AnyMsg], connection: Transport) -> None:
         """Hand on messages and count the bytes of the connection that were handled."""
         super().receive_callback(msgs, connection)
-        connection.heard = time.monotonic()
+        connection.heard_at = time.monotonic()
         nbytes = sum(len(msg._buff) + 4 for msg in msgs)
         connection.handled = getattr(connection, "handled", 0) + nbytes
 

@@ -124,9 +124,9 @@ class LiveTopic:
         nodeID: str | None = None,
         run: Writers = None,
     ) -> dict[str, Any]:
-        """Return fields of the messages in [key, to_key] as numpy arrays; of all robots and runs.
+        """Return fields of the messages in [key, to_key] as numpy arrays.
 
-        nodeID and run are there because a stored topic has them: here all messages are of one.
+        nodeID and run are ignored: all messages are of one robot and run. A stored topic has them.
         """
         read = Read(range_between(key, to_key))
         return as_arrays(gather_fields(self, fields, None, lambda columns: self.read(read)))
