@@ -74,8 +74,9 @@ class Player:
         options: Options of the replay.
 
     Raises:
-        TopicNotFound, RunNotFound, MessageNotFound: The selection has no stored message.
-        InvalidOption, InvalidName, InvalidQuery: The selection is not valid.
+        TopicNotFound, RunNotFound, EventNotFound, MessageNotFound: The selection has no stored
+            message.
+        InvalidOption, InvalidName, InvalidQuery, InvalidKey: The selection is not valid.
     """
 
     def __init__(

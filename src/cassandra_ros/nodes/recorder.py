@@ -151,8 +151,8 @@ class Recorder:
         Raises:
             InvalidOption: A run is being recorded and no topics are given; or the recorder was
                 closed.
-            InvalidName: The name of a topic is not valid.
-            StoreUnavailable: The store does not answer.
+            InvalidName: The name of a topic or of the run, or a label, is not valid.
+            StoreUnavailable: The store does not answer, and the recorder has no spool.
         """
         names = [rospy.resolve_name(check_ros_name(topic)) for topic in topics]
         if not (names or self._options.regex):
@@ -333,6 +333,7 @@ class Recorder:
             InvalidOption: No messages are kept in memory (option snapshot), or too many snapshots
                 are being written.
             InvalidName: A topic is not recorded.
+            StoreUnavailable: The store does not answer, and the recorder has no spool.
         """
         if self._snapshots is None:
             raise InvalidOption(

@@ -138,7 +138,7 @@ class _Services:
 
 
 def read_labels(texts: Sequence[str]) -> Mapping[str, str]:
-    """Read labels KEY=VALUE; raises InvalidOption."""
+    """Read labels KEY=VALUE, each key once; raises InvalidOption or InvalidName."""
     return check_pairs("labels", map(read_label, texts))
 
 

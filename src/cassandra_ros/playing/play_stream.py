@@ -87,11 +87,12 @@ class PlayStream:
             overlapping. Without ``around`` and ``event`` there is one, from start to end.
 
     Raises:
-        TopicNotFound, RunNotFound: A topic or the run is not stored.
+        TopicNotFound, RunNotFound, EventNotFound: A topic, the run or the event is not stored.
         MessageNotFound: Topics, nodeID, run, times or conditions leave no message.
         InvalidOption: A time cannot be read, lies before or after all selected messages, or the
             end lies before the start; or two options exclude each other.
         InvalidName, InvalidQuery: A name or a condition cannot be read.
+        InvalidKey: A length of time of ``event`` cannot be read.
     """
 
     def __init__(self, store: PlayedStore, selection: PlaySelection) -> None:

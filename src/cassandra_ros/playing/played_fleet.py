@@ -74,7 +74,7 @@ class PlayedFleet:
         find_topic(self._answer, topic)
 
     def whose(self, node: str | None, run: RunName) -> Whose:
-        """Check nodeID and run, and return their Whose; raises RunNotFound."""
+        """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
         return settled(self._answer, lambda: whose_of(self._answer, node, run))
 
     def ranges(self, topics: Sequence[str], whose: Whose) -> list[StoredRange]:
@@ -88,7 +88,7 @@ class PlayedFleet:
         return list(chain.from_iterable(self._answer.each(_keys(names), find).values()))
 
     def event_times(self, choice: EventChoice, whose: Whose) -> EventTimes:
-        """Return the times of the events of a choice; raises EventNotFound."""
+        """Return the times of the events of a choice; raises EventNotFound or InvalidOption."""
         return settled(
             self._answer, lambda: times_of_events(self._answer, choice, Read(whose=whose))
         )

@@ -68,13 +68,13 @@ class PlayedStore(Protocol):
         """Raise DefinitionError if the messages of a topic cannot be read here."""
 
     def whose(self, node: str | None, run: RunName) -> Whose:
-        """Check nodeID and run, and return their Whose."""
+        """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
 
     def ranges(self, topics: Sequence[str], whose: Whose) -> list[StoredRange]:
         """Return the time ranges in which the runs have messages of some topics."""
 
     def event_times(self, choice: EventChoice, whose: Whose) -> EventTimes:
-        """Return the times of the events of a choice; raises EventNotFound."""
+        """Return the times of the events of a choice; raises EventNotFound or InvalidOption."""
 
     def run_names(self) -> Mapping[int, str]:
         """Return writer id → name of all runs."""
@@ -117,7 +117,7 @@ class PlayedKeyspace:
         _ = self._catalog.get(topic).tables
 
     def whose(self, node: str | None, run: RunName) -> Whose:
-        """Check nodeID and run, and return their Whose."""
+        """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
         return self._catalog.whose(node, run)
 
     def ranges(self, topics: Sequence[str], whose: Whose) -> list[StoredRange]:
@@ -125,7 +125,7 @@ class PlayedKeyspace:
         return stored_ranges(self._keyspace, self._catalog.tables(topics), whose)
 
     def event_times(self, choice: EventChoice, whose: Whose) -> EventTimes:
-        """Return the times of the events of a choice; raises EventNotFound."""
+        """Return the times of the events of a choice; raises EventNotFound or InvalidOption."""
         return self._keyspace.events.chosen(choice, Read(whose=whose))
 
     def run_names(self) -> dict[int, str]:
