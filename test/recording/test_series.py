@@ -261,7 +261,7 @@ def test_no_space_is_a_loss_that_is_told(rosCas):
     series.poll()
     series.received("/t", HEADER, text(1))
     free[0] = 10 << 20
-    series._look = 0.0
+    series._check_space_at = 0.0
     series.poll()
     series.received("/t", HEADER, text(2))
     (report,) = series.end()
