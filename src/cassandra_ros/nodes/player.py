@@ -91,7 +91,7 @@ class Player:
         self._outlets: Outlets | None = None
         self._registration = Registration()
         self._control: rospy.Subscriber | None = None
-        """Subscriber of the option rate_control_topic; None = there is none."""
+        """Subscriber of the option rate_control_topic; None = without this option."""
         self._control_ns = self._stream.start_ns
         """Last stamp on that topic, or the time at which playing began after it, ns."""
         self._is_controlled = True
