@@ -314,6 +314,16 @@ def test_the_type_that_is_played_is_that_of_the_time_that_is_played(rosCas):
         assert [channel.type for channel in stream.channels()] == [kind._type]
 
 
+def test_a_type_is_played_only_if_a_message_of_it_is(rosCas):
+    with rosCas.messageWriter() as writer:
+        for kind in (String, Header):
+            handle = writer.connect(api_connection("/status", definition_of(kind), "/x"))
+            writer.write(handle, T0, 0, serialize(kind()))
+    selection = PlaySelection(where={"/status": "frame_id = ''"})
+    channels = PlayStream(PlayedKeyspace(rosCas.catalog), selection).channels()
+    assert [channel.type for channel in channels] == [Header._type]
+
+
 def test_the_first_type_of_a_topic_is_that_of_its_first_message(rosCas):
     for number, (kind, times) in enumerate(((String, (2, 9)), (Int64, (0, 3, 4)), (Header, (1,)))):
         with rosCas.messageWriter(writer_id=number + 1) as writer:

@@ -123,6 +123,12 @@ def test_a_condition_is_that_of_the_query_language():
     assert filters.passes("/n", header_of(Twist), 0, message(Twist()))
 
 
+def test_a_condition_that_asks_for_positions_keeps_the_topic_whole(caplog):
+    filters = Filters(recording_settings(RecorderOptions(where=[("/n", "NEAR(0, 0, 1)")])))
+    assert filters.passes("/n", header_of(Int32), 0, message(Int32(1)))
+    assert "topic /n is recorded whole, because its condition 'NEAR(0, 0, 1)' cannot" in caplog.text
+
+
 def test_what_the_condition_leaves_out_does_not_count_for_the_rate():
     options = RecorderOptions(where=[("/n", "data > 5")], rate_limit=[("/n", 1.0)])
     filters, header = Filters(recording_settings(options)), header_of(Int32)

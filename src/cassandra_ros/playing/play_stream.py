@@ -248,7 +248,8 @@ class PlayStream:
                 return True
         if len(met) > _MOST_WINDOWS:
             return True
-        return any(next(alone.rows(window), None) is not None for window in met)
+        rows = (row for window in met for _, row in alone.rows(window))
+        return any(row.table.name == stored_range.table.name for row in rows)
 
     def _first_time(self, source: PlaySource, stored_range: StoredRange) -> int:
         """Return the time of the first message of a run and table that is played, ns.

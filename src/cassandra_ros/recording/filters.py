@@ -12,7 +12,7 @@ import threading
 from typing import Callable, Mapping, Sequence
 
 from cassandra_ros.arguments import spellings
-from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.errors import InvalidOption, InvalidQuery
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.protocols import Row
@@ -205,7 +205,7 @@ class _TopicCondition:
         if table.definition is not None:
             try:
                 return table, Condition(self._where).test([table])
-            except InvalidQuery as exc:
+            except (InvalidQuery, InvalidOption) as exc:
                 problem = str(exc)
         else:
             problem = "its definition cannot be used"
