@@ -50,6 +50,7 @@ from cassandra_ros.topics.topic_table import TableSet, TopicTable
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
 _REQUIRED = object()
+"""Value of ``default`` in getData if no default was given: a missing message is an error."""
 
 
 class CassandraTopic:
@@ -130,10 +131,11 @@ class CassandraTopic:
         return self._typed_tables()[0].format
 
     def _typed_tables(self, remedy: str = "") -> list[TopicTable]:
+        """Return the tables; without any, raise TopicNotFound with ``remedy`` in its text."""
         tables = self.tables
         if not tables:
-            none = f"topic {self.name} has no type yet: its first message fixes it"
-            raise TopicNotFound(none + remedy)
+            reason = f"topic {self.name} has no type yet: its first message fixes it"
+            raise TopicNotFound(reason + remedy)
         return tables
 
     def getColValidationClasses(self) -> dict[str, str]:
@@ -141,7 +143,7 @@ class CassandraTopic:
         return self.format.getColValidationClasses()
 
     def encode(self, msg: Any) -> EncodedMessage:
-        """Translate a message into columns (paper 3.1)."""
+        """Translate a message into columns (paper 3.1). Raises TopicNotFound, as ``format``."""
         return self.format.encode(msg)
 
     def decode(self, data: EncodedMessage) -> Any:
@@ -277,15 +279,16 @@ class CassandraTopic:
     def _finder(
         self, nodeID: str | None = None, where: Where | None = None, run: RunName = None
     ) -> Finder:
+        """Return the finder of one call, with checked arguments; errors as in getData."""
         whose, tables = self._whose(nodeID, run), self._stored_tables()
         key_format = (tables[0] if tables else self._wish).metadata.key_format or "time"
-        passing = None
+        condition = None
         if where is not None:
-            filtered = partial(Filter, self, where, whose)
-            passing = self._keyspace.tables.naming(filtered)
-        return Finder(self._keyspace, self.name, key_format, tables, whose, passing)
+            condition = self._keyspace.tables.naming(partial(Filter, self, where, whose))
+        return Finder(self._keyspace, self.name, key_format, tables, whose, condition)
 
     def _whose(self, nodeID: str | None, run: RunName) -> Whose:
+        """Return the checked robot and runs; warn once of a robot without messages."""
         nodes, runs = check_nodes(nodeID), self._keyspace.runs
         runs.check_robot(nodeID)
         return Whose(nodes, runs.writers(run))
@@ -339,7 +342,12 @@ class CassandraTopic:
         return islice(self.read(read), limit)
 
     def read(self, read: Read) -> Iterator[StoredRow]:
-        """Yield the rows of a read, without making message objects."""
+        """Yield the rows of a read, without making message objects.
+
+        Raises:
+            InvalidKey: The read asks for an invalid name.
+            TopicNotFound: The topic was removed.
+        """
         if isinstance(read.only, Named):
             check_message_name(self.name, read.only.name)
         return self._keyspace.rows.read(self._stored_tables(), read)
@@ -349,6 +357,11 @@ class CassandraTopic:
         return count_rows(self._keyspace.directory, self._stored_tables(), read)
 
     def _stored_tables(self) -> TableSet:
+        """Return the tables to read; empty if the topic was added here and has no message yet.
+
+        Raises:
+            TopicNotFound: The topic was removed.
+        """
         wish = self._wish
         tables = self.tables or self._keyspace.tables.of_topic(self.name, fresh=True)
         was_seen = (self.name, wish.metadata.format) in self._keyspace.schema.seen
@@ -436,7 +449,7 @@ class CassandraTopic:
         * Arrays of fixed length have two dimensions, such as (rows, 9). So have other arrays if
           every returned row has an array and all have the same length: scans of 360 ranges give
           (rows, 360), empty arrays (rows, 0). Otherwise, or without rows, they give an array of
-          objects, one array a row. ``list(found['ranges'])`` is the same in both cases: use it in
+          objects, one array a row. ``list(arrays['ranges'])`` is the same in both cases: use it in
           programs that must not depend on the lengths.
         * Arrays inside of arrays of messages give lists.
 

@@ -56,6 +56,7 @@ _log = logging.getLogger(__name__)
 Conditions = Optional[Mapping[str, Where]]
 """Topic → condition."""
 Pair = Tuple[StoredRow, Optional[StoredRow]]
+"""A row, and its partner in another stream; None = it has no partner."""
 
 
 class Catalog:
@@ -68,6 +69,7 @@ class Catalog:
         self.keyspace = Keyspace(cassandra, keyspace, robots=lambda: self.places)
         self.adder = MessageAdder(self.keyspace, clock)
         self._pending: dict[str, Wish] = {}
+        """Topics that were added without a type, until a table of them is listed."""
         self._mutex = threading.Lock()
         self.stored_places = StoredPlaces(self.keyspace, self.get, lambda: self.all(None))
         """The topics, for lookups of the robots' places."""
@@ -94,12 +96,12 @@ class Catalog:
             check_packed(stored[0].metadata if stored else wish.metadata)
             if metadata.indexes and all(table.packed for table in stored):
                 raise no_index_in_blocks(topic)
-        by_master = ask_master and not stored
-        definition = self._definition_for(topic, msg_type, by_master)
+        definition = self._definition_for(topic, msg_type, ask_master and not stored)
         for table in stored:
             wish.check(table.metadata, definition)
         new_topic = CassandraTopic(self.keyspace, self.adder, wish)
         if not any(table.metadata.format == format_name for table in stored):
+            # Of an earlier topic of this name; if it stayed, the new one would count as removed.
             self.keyspace.schema.seen.discard((topic, format_name))
             with self._mutex:
                 self._pending[topic] = wish
@@ -116,11 +118,15 @@ class Catalog:
         return new_topic
 
     def _definition_for(
-        self, topic: str, msg_type: str | None, by_master: bool
+        self, topic: str, msg_type: str | None, ask_master: bool
     ) -> Definition | None:
+        """Return the definition of the given type, or of the type that the ROS master knows.
+
+        None if there is no such type, or that of the master is not installed.
+        """
         if msg_type is not None:
             return installed_definition(msg_type)
-        master_type = topic_type(topic) if by_master else None
+        master_type = topic_type(topic) if ask_master else None
         try:
             return None if master_type is None else installed_definition(master_type)
         except DefinitionError as exc:
@@ -169,7 +175,7 @@ class Catalog:
         return [self._topic(name) for name in sorted(self.names()) if expression.fullmatch(name)]
 
     def names(self, *, fresh: bool = True) -> set[str]:
-        """Return the names of all topics."""
+        """Return the names of all topics; fresh: ask the server, else by comments up to 2 s old."""
         listing = self.keyspace.schema.listing(fresh=fresh)
         with self._mutex:
             for name, wish in list(self._pending.items()):
@@ -182,6 +188,7 @@ class Catalog:
         return self._are_written(self.tables([topic]))
 
     def _are_written(self, tables: Sequence[TopicTable]) -> bool:
+        """Return whether a bucket of some tables is open, and its writer alive."""
         directory = self.keyspace.directory
         return any(
             row.writing and row.age_sec <= STALE_SEC
@@ -192,9 +199,14 @@ class Catalog:
     def remove(self, topic: str, *, renew: bool = False) -> int:
         """Delete a topic with all its messages; renew: keep the topic itself.
 
+        If renew is set and a client is writing the topic, only the messages that were there at the
+        beginning are deleted.
+
         Returns:
-            The number of deleted messages. If renew is set and a client is writing the topic, only
-            the messages that were there at the beginning are deleted.
+            The number of deleted messages.
+
+        Raises:
+            TopicNotFound: There is no such topic.
         """
         name, space = self.get(topic).name, self.keyspace
         self.adder.close()
@@ -217,7 +229,13 @@ class Catalog:
         return removed
 
     def rename(self, topic: str, new_name: str) -> None:
-        """Give a topic another name."""
+        """Give a topic another name, also one without a type.
+
+        Raises:
+            TopicNotFound: There is no such topic.
+            TopicExists: A topic has the new name, with or without the leading slash.
+            SchemaConflict, StoreUnavailable: The name cannot be changed now.
+        """
         name = self.get(topic).name
         if name in spellings(new_name):
             raise TopicExists(
@@ -248,11 +266,13 @@ class Catalog:
                 self._pending[new_name] = replace(wish, metadata=metadata)
 
     def _find(self, topic: str, fresh: bool) -> str | None:
+        """Return the stored name of a topic, which may differ in the slash; None = not stored."""
         check_topic(topic)
         names = self.names(fresh=fresh)
         return next((name for name in spellings(topic) if name in names), None)
 
     def _topic(self, name: str) -> CassandraTopic:
+        """Return the topic with a stored name."""
         with self._mutex:
             wish = self._pending.get(name)
         # By the comments alone: a table that cannot be read must not hide the other topics.
@@ -321,7 +341,7 @@ class Catalog:
         whose: Whose,
         event: EventRule = None,
     ) -> Reads:
-        """Return the reads of some topics between two times, with an event only during its events.
+        """Return the reads of some topics between two times; with ``event`` during these events.
 
         Raises:
             EventNotFound: There is no such event of that time, robot and run.
@@ -343,18 +363,18 @@ class Catalog:
         hits = self.read([name], whole, {name: rule.condition}, received=True)
         times = (row.received for row in hits)
         windows = merge_windows(times, rule.before, rule.after, whole.time_range)
-        parts = [replace(whole, time_range=window) for window in windows]
-        if not parts:
+        reads = [replace(whole, time_range=window) for window in windows]
+        if not reads:
             raise MessageNotFound(
                 f"no message of topic {name} of this time, robot and run satisfies "
                 f"{rule.condition!r:.200}: nothing lies around one"
             )
-        return Reads(whole, parts)
+        return Reads(whole, reads)
 
     def whose(self, node: str | None, run: RunName) -> Whose:
         """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName.
 
-        A robot without messages is told by a warning: it may be yet to begin.
+        A warning names a robot without messages, once. It is no error: they may come later.
         """
         writers = None if run is None else self.keyspace.runs.writers(run)
         nodes = check_nodes(node)
@@ -366,19 +386,25 @@ class Catalog:
     ) -> dict[str, Filter]:
         """Return the filter of each topic with a condition.
 
-        It must be one of the topics to read.
+        Args:
+            topics: Topics that are read; None = all. A condition for another topic is an error.
+            whose: Robots and writers whose messages are tested.
+
+        Raises:
+            InvalidOption: ``where`` is no mapping, or has another topic, or one topic twice.
+            TopicNotFound, InvalidQuery: A topic is not stored, or a condition is not valid.
         """
         if where is None:
             return {}
         if not isinstance(where, Mapping):
             raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
         self.keyspace.schema.tables(fresh=True)
-        read = None if topics is None else {self.get(name).name for name in topics}
+        read_topics = None if topics is None else {self.get(name).name for name in topics}
         filters: dict[str, Filter] = {}
         for name, condition in where.items():
             topic = self.get(name)
-            if read is not None and topic.name not in read:
-                listing = ", ".join(sorted(read)) or "none"
+            if read_topics is not None and topic.name not in read_topics:
+                listing = ", ".join(sorted(read_topics)) or "none"
                 raise InvalidOption(
                     f"there is a condition for topic {topic.name}, which is not among those that "
                     f"are read: {listing}"
@@ -404,7 +430,11 @@ class Catalog:
         *,
         received: bool = False,
     ) -> Iterator[StoredRow]:
-        """Yield the rows of several topics lazily; see RosCassandra.readMessages."""
+        """Yield the rows of several topics lazily, merged by time; see RosCassandra.readMessages.
+
+        Args:
+            received: Whether the time range and the order are those of receive times.
+        """
         return self.read_parts(topics, Reads(read, [read]), where, received=received)
 
     def read_parts(
@@ -415,7 +445,7 @@ class Catalog:
         *,
         received: bool = False,
     ) -> Iterator[StoredRow]:
-        """Yield the rows of several topics lazily, part after part."""
+        """Yield the rows of several topics lazily, one part of the reads after the other."""
         filters, tables = self.filters(where, topics, reads.whole.whose), self.tables(topics)
         if len(reads.parts) == 1:
             return self.merged(tables, filters, reads.parts[0], received=received)
@@ -431,7 +461,12 @@ class Catalog:
         *,
         received: bool = False,
     ) -> Iterator[StoredRow]:
-        """Yield lazily the rows of some tables that pass their filters, merged by time."""
+        """Yield lazily the rows of some tables that pass their filters, merged by time.
+
+        Args:
+            filters: Topic → its filter. Rows of other topics all pass.
+            received: As in ``read``.
+        """
         rows_of = self.keyspace.rows.received if received else self.keyspace.rows.read
         by_topic: dict[str, list[TopicTable]] = {name: [] for name in filters}
         free: list[TopicTable] = []
@@ -481,6 +516,7 @@ def nearest_pairs(
 
 
 def _nearer(t: int, before: StoredRow | None, ahead: StoredRow | None) -> StoredRow | None:
+    """Return the row nearer to a time, ns, the earlier of two equally near ones; None = no row."""
     if before is None or ahead is None:
         return before or ahead
     return before if t - before.t <= ahead.t - t else ahead

@@ -43,7 +43,7 @@ def _join(texts: Iterable[str]) -> str:
 def topic_line(
     name: str, directory: Directory, read_tables: Callable[[], Sequence[TopicTable]]
 ) -> str:
-    """Return one line about a topic; a topic without tables has no type yet."""
+    """Return one line about a topic, also if it has no type yet or the store does not answer."""
     name = shown(name)
     try:
         tables = read_tables()
@@ -68,6 +68,7 @@ def topic_html(name: str, directory: Directory, tables: Sequence[TopicTable]) ->
 
 
 def _time(ns: int | None) -> str:
+    """Return a time as text; '' = there is none."""
     return "" if ns is None else iso_time(ns)
 
 

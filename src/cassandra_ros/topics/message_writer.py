@@ -64,7 +64,7 @@ MAX_HANDLES = 1024
 
 
 class Asked(NamedTuple):
-    """A connection whose messages will be written, as MessageWriter.connect describes its parts."""
+    """A connection whose messages will be written: arguments of MessageWriter.connect."""
 
     connection: Connection
     bucket_ns: int | None = None
@@ -148,22 +148,29 @@ class MessageWriter:
         self._on_loss = on_loss
         self._given = given
         self._handles: dict[tuple[Connection, str | None, str], Handle] = {}
+        """Connection, requested format and nodeID → handle."""
         self._topics: dict[str, str] = {}
+        """Table → topic under which its messages are counted."""
         self._refused: dict[str, WriteStats] = {}
+        """Table → messages that were lost before its rows took them."""
         self._told: set[str] = set()
         """Names of the removed tables for which a warning was logged."""
         self._warned: set[str] = set()
         """Warnings of handles that were logged: each is logged once, for all its publishers."""
         self._mutex = threading.Lock()
         self._renewing = threading.Lock()
+        """Held while a removed table is made anew; taken before ``_mutex``."""
         self._closed = False
         self._take_back: TakeBack | None = None
         self._high = writer_id << COUNTER_BITS
+        """Upper half of every ``_seq``."""
         self.make_tables(connections)
         if run is not None:
             keyspace.registry.put_run(run, started=True)
         self._rows = RowWriter(
-            *(keyspace.cassandra, keyspace.schema, keyspace.directory),
+            keyspace.cassandra,
+            keyspace.schema,
+            keyspace.directory,
             writer_id,
             linger_sec=linger_sec,
             block_sec=block_sec,
@@ -236,17 +243,25 @@ class MessageWriter:
             SchemaConflict, StoreUnavailable: The tables cannot be made. Some may have been made.
         """
         requests = [request._replace(format=request.format or self._format) for request in several]
-        new_tables = [(self._new_table(request)[0], request.connection) for request in requests]
-        new_tables = [(new, of) for new, of in new_tables if new.metadata.md5sum != ANY_MD5]
-        if not new_tables:
+        pairs = [(self._new_table(request)[0], request.connection) for request in requests]
+        # ``connect`` first looks for the table that has messages of such a connection.
+        pairs = [(new, connection) for new, connection in pairs if new.metadata.md5sum != ANY_MD5]
+        if not pairs:
             return
-        tables = self._keyspace.new_tables.make_all([new for new, _ in new_tables])
+        tables = self._keyspace.new_tables.make_all([new for new, _ in pairs])
         self._keyspace.connections.put_all(
-            [(table.name, of) for table, (_, of) in zip(tables, new_tables) if table]
+            [
+                (table.name, connection)
+                for table, (_, connection) in zip(tables, pairs)
+                if table is not None
+            ]
         )
 
     def _new_table(self, request: Asked) -> tuple[NewTable, str | None]:
-        """Return the table for a connection as it is made if it is missing, and a warning."""
+        """Return the table that is made for a connection if it is missing, and a warning or None.
+
+        The warning says why the definition, or the format, is not the requested one.
+        """
         connection, like = request.connection, request.like
         check_new_topic(connection.topic)
         name = request.format or (like.format if like is not None else None)
@@ -265,7 +280,10 @@ class MessageWriter:
         return NewTable(metadata, definition, request.large), warning
 
     def _shared_table(self, connection: Connection, new: TopicMetadata) -> TopicTable | None:
-        """Return the table for several types that already has messages of this connection."""
+        """Return the table for several types that already has messages of this connection.
+
+        None if there is none, or if the connection has an md5sum: then its kind finds the table.
+        """
         if new.md5sum != ANY_MD5:
             return None
         space = self._keyspace
@@ -284,6 +302,7 @@ class MessageWriter:
         return self._keyspace.new_tables.format_for(connection.topic, md5sum)
 
     def _other_ttl(self, stored: TopicMetadata) -> str | None:
+        """Return a warning if a table has another ttl than requested; None if it has not."""
         if self._ttl in (None, stored.ttl):
             return None
         return (
@@ -292,6 +311,7 @@ class MessageWriter:
         )
 
     def _keep(self, key: tuple[Connection, str | None, str], handle: Handle) -> Handle:
+        """Cache a handle of a table that takes rows; return it ready, after its warning."""
         if handle.warning and handle.warning not in self._warned:
             self._warned.add(handle.warning)
             _log.warning("%s", handle.warning)
@@ -306,7 +326,7 @@ class MessageWriter:
             return handle
 
     def ready(self, handle: Handle) -> Handle:
-        """Return the handle with everything that its table needs to take messages."""
+        """Return the handle, with a block builder if its table is packed; note it for ``stats``."""
         table = handle.table
         if table.packed:
             key_time = table.key_time if table.metadata.own_time else None
@@ -347,7 +367,10 @@ class MessageWriter:
         return None if latest is None or latest.table.name in self._rows.gone else latest
 
     def _connect_anew(self, handle: Handle) -> Handle:
-        """Return a handle of the table in which the topic of a removed table goes on."""
+        """Return a handle of the table in which the topic of a removed table goes on.
+
+        The caller holds ``_renewing``.
+        """
         schema = self._keyspace.schema
         self._keyspace.side_tables.forget()  # the whole keyspace may have been dropped
         schema.tables(fresh=True)
@@ -390,11 +413,12 @@ class MessageWriter:
             name: Name of the message in a topic with names; '' = the topic's name.
 
         Returns:
-            Its row; None if it is in a block, or was refused and reported to on_loss.
+            Its row; None if it is in a block, was refused and reported to on_loss, or given back.
 
         Raises:
             InvalidKey: Time or counter is out of range.
             WriteFailed: Earlier messages were given up (only without on_loss).
+            TopicNotFound, SchemaConflict, StoreUnavailable: As ``current`` (only without on_loss).
         """
         if not (0 <= t_ns <= MAX_NS and 0 <= counter < 1 << COUNTER_BITS):
             raise InvalidKey(
@@ -412,7 +436,7 @@ class MessageWriter:
                     if handle.table.name in self._rows.gone:
                         return self._put(self._current(handle), t_ns, seq, wire, name)
                     return self._put(handle, t_ns, seq, wire, name)
-                except GONE:  # another client removed it: it goes on in a new table
+                except GONE:  # another client removed the table; its topic goes on in a new one
                     if tries == MAX_REMOVALS:
                         raise
                     tries += 1
@@ -428,12 +452,16 @@ class MessageWriter:
             return None
 
     def write_run(self, handle: Handle, times: Longs, counters: Longs, wires: Wires) -> None:
-        """Take several messages in this order, like write but faster."""
+        """Take several messages in this order, like write but faster.
+
+        Args:
+            times, counters: Receive time and counter of each message, as in ``write``.
+        """
         count = 0
-        low = min(times.min(initial=0), counters.min(initial=0))
-        valid = low >= 0 and times.max(initial=0) <= MAX_NS
+        lowest = min(times.min(initial=0), counters.min(initial=0))
+        in_range = times.max(initial=0) <= MAX_NS and counters.max(initial=0) <= MAX_COUNTER
         # With on_loss, errors are reported for single messages, so these are written one by one.
-        if len(wires) and valid and counters.max() <= MAX_COUNTER and self._on_loss is None:
+        if len(wires) and lowest >= 0 and in_range and self._on_loss is None:
             seqs = self._high | counters
             handle = self._current(handle)
             if handle.blocks is not None:
@@ -447,7 +475,8 @@ class MessageWriter:
     def _put_rows(self, handle: Handle, times: Longs, seqs: Longs, wires: Wires) -> int:
         """Write several messages as rows.
 
-        Return the number of messages written before the first one that needs another table.
+        Return the number of messages written before the first one that ``write`` must take: its
+        columns must be made now, its table has an index or was dropped, or an error must be raised.
         """
         table = handle.table
         count = 0
@@ -461,6 +490,7 @@ class MessageWriter:
         return count
 
     def _block_message_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
+        # ``ready`` gave the builder this method with a handle that had no builder yet.
         self._write_anew(self.ready(handle), t_ns, seq, wire)
 
     def _row_anew(self, handle: Handle, row: NewRow) -> None:
@@ -479,6 +509,10 @@ class MessageWriter:
                 time.sleep(TABLE_PAUSE_SEC)
 
     def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow | None:
+        """Put a message into a block or a row; return the row.
+
+        Raises one of GONE if the table was dropped.
+        """
         if handle.blocks is not None:
             if not handle.blocks.add_message(t_ns, seq, wire):
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
@@ -489,6 +523,10 @@ class MessageWriter:
         return row
 
     def _write_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str = "") -> None:
+        """Give back a message that a silent store did not take, or write that of a dropped table.
+
+        The RowWriter calls it without its lock, on its own thread or on that of ``flush``.
+        """
         counter = seq & MAX_COUNTER
         if self._take_back is not None and handle.table.name not in self._rows.gone:
             self._take_back(handle, t_ns, counter, wire)
@@ -504,9 +542,9 @@ class MessageWriter:
         """Return the numbers of stored and lost messages, by topic."""
         stats: dict[str, WriteStats] = {}
         with self._mutex:
-            parts = [*self._rows.stats.items(), *self._refused.items()]
+            counts_of_tables = [*self._rows.stats.items(), *self._refused.items()]
             topics = dict(self._topics)
-        for name, counts in parts:
+        for name, counts in counts_of_tables:
             stats.setdefault(topics.get(name, name), WriteStats()).add(counts)
         return stats
 
@@ -607,8 +645,9 @@ def usable_definition(
         UnknownFormat: No format has this name.
     """
     try:
-        kind = connection.type, connection.md5sum, connection.definition_text
-        definition = _usable_definition(*kind, format_name)
+        definition = _usable_definition(
+            connection.type, connection.md5sum, connection.definition_text, format_name
+        )
     except (DefinitionError, CorruptMessage) as exc:
         return None, (
             f"topic {connection.topic} is kept as binary, its fields cannot be queried: {exc}"
@@ -644,6 +683,7 @@ def _usable_definition(msg_type: str, md5sum: str, text: str, format_name: str) 
 
 
 def _definition(msg_type: str, md5sum: str, text: str) -> Definition:
+    """Return the definition in a text, or that of the installed type if the text is empty."""
     if not text.strip():
         # Some publishers leave the definition out: use an installed type with this md5.
         with suppress(DefinitionError):

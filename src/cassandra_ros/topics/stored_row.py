@@ -47,7 +47,8 @@ class StoredRow:
         table, conn: The TopicTable of the message, and the number of its connection in the table.
         size, chunked: Number of serialised bytes, and whether they are in the chunk table.
         odd: Whether some field is not held exactly in its column.
-        columns: The format's columns, undecoded: all, or those that were requested.
+        columns: The format's columns, undecoded: all, or those that were requested; () after
+            keep_wire.
         name: Name of the message; '' in topics with a time key.
     """
 
@@ -56,13 +57,15 @@ class StoredRow:
     )
 
     def __init__(self, row: TableRow, table: TopicTable) -> None:
+        # By position: this is done for every message that is read.
         self.t, self.node, self.seq, _, self.conn, self.size, chunks = row[:7]
         _, self.odd, _, self.columns, self.name, received, block = row[7:14]
         self.received = self.t if received < 0 else received
         self.chunked = chunks > 0
         self.table = table
         self._row = row
-        # Messages of blocks were checked with their block; without columns the row has the wire.
+        # The only column of a message in a block is the message, checked with its block. From the
+        # columns of a row ``wire`` makes the message, and checks it.
         self._wire: bytes | None = row.raw
         if self.columns:
             self._wire = self.columns[0] if block else None
@@ -101,11 +104,11 @@ class StoredRow:
     @property
     def block(self) -> tuple[BlockKey | None, int]:
         """Block of the message (None = it has its own row), and its position in the block."""
-        return self._row[13:15]
+        return self._row.block, self._row.place
 
     @property
     def identity(self) -> MessageIdentity:
-        """Identity of the message in all tables: a conversion moves it to another table."""
+        """Identity of the message in all tables, to which conversions may move it."""
         return (self.t, self.node, self.seq, self.name)
 
     @property
@@ -146,6 +149,7 @@ class StoredRow:
         heir = self.table.heir(True)
         if heir is None:
             raise
+        # The run may have got another robot, which its messages have in the new table.
         nodes = [self.position.node, *self.table.runs.robots(writer_of(self.seq))]
         positions = (self.position._replace(node=node) for node in dict.fromkeys(nodes))
         rows = (fetch_row(heir, position) for position in positions)
@@ -157,7 +161,7 @@ class StoredRow:
         return read_wire(heir, row)
 
     def keep_wire(self) -> bytes:
-        """Return the serialised message, and release the columns from which it was made."""
+        """Return the serialised message, and release the columns, so that it is held once."""
         wire = self.wire
         self.columns = ()
         self._row = self._row._replace(columns=(), raw=None)
@@ -221,7 +225,8 @@ def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
     """Yield rows as they come, with the chunks of the next large ones requested ahead.
 
     Only for readers that need the messages. The first large message is requested when its bytes are
-    accessed. While every yielded message is accessed, more and more are requested ahead.
+    accessed. While every yielded message is accessed, more and more are requested ahead; after one
+    that was not, this begins anew.
     """
     waiting: deque[tuple[StoredRow, int]] = deque()
     """Rows, and the number of bytes of each that have been requested."""
@@ -285,16 +290,17 @@ def with_messages(
                 batch, waiting, nbytes = waiting, [], 0
                 yield_count += len(batch) + large
                 if batch:
-                    yield from _make(cassandra, batch)
+                    yield from _pairs(cassandra, batch)
             if large:
                 yield row, row.message()
     except CassandraRosError:
-        yield from _make(cassandra, waiting)
+        yield from _pairs(cassandra, waiting)
         raise
-    yield from _make(cassandra, waiting)
+    yield from _pairs(cassandra, waiting)
 
 
-def _make(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[tuple[StoredRow, Any]]:
+def _pairs(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[tuple[StoredRow, Any]]:
+    """Yield rows with their messages, made together or, if that fails, one by one."""
     messages: Iterable[Any]
     try:
         messages = _messages(rows)

@@ -36,10 +36,11 @@ MAX_CLASSES = 1024
 """Maximum number of connections of a table with a cached message class. Anonymous publishers come
 without end."""
 MAX_LATER_BYTES = 64 * 1024
-"""Size in bytes above which messages are encoded one by one: together would not be faster."""
+"""Size in bytes above which the columns of a message are made with its row. Those of a smaller one
+are made when its batch is sent, for many messages together, which is faster."""
 
 
-_new_row = partial(tuple.__new__, NewRow)  # _make is a function of Python
+_new_row = partial(tuple.__new__, NewRow)  # faster than NewRow._make, which is written in Python
 
 
 class TopicTable(RowTable):
@@ -66,11 +67,13 @@ class TopicTable(RowTable):
         )
         self.zone_map = self.format.zone_map
         """Zone columns of the table's blocks; None = a row is a message, or has no zones."""
-        # Without a usable definition there are no indexes and no key field: rows are by receive
-        # time.
-        able = metadata.own_time or metadata.key_part in metadata.indexes
-        source = definition if able and metadata.key_format == "msg_part" else None
-        self.key_part = None if source is None else KeyPart(source, metadata.key_part)
+        # Neither of the two is noted of a type that lacks the key field, or whose definition was
+        # unusable when the table was made: then rows are found by receive time.
+        has_field = metadata.own_time or metadata.key_part in metadata.indexes
+        key_definition = definition if has_field and metadata.key_format == "msg_part" else None
+        self.key_part = (
+            None if key_definition is None else KeyPart(key_definition, metadata.key_part)
+        )
         """The key field; None = the key is not a field."""
         timed = self.key_part is None or self.key_part.is_time
         self.value_part = None if timed else self.key_part
@@ -89,8 +92,11 @@ class TopicTable(RowTable):
         self._heir = heir
         self._robots = robots
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
-        """Return the class for a connection, by its number: installed, generated or RawMessage."""
-        self._later = metadata.key_format == "time" and self.format.TOGETHER
+        """Return the class for a connection, by its number: installed, generated or RawMessage.
+
+        Raises CorruptMessage if the connection is missing."""
+        self._is_encoded_later = metadata.key_format == "time" and self.format.TOGETHER
+        """Whether columns of messages up to MAX_LATER_BYTES are made when their batch is sent."""
 
     def __repr__(self) -> str:
         return f"<TopicTable {self.name} of {self.metadata.topic}: {self.msg_type}>"
@@ -141,12 +147,17 @@ class TopicTable(RowTable):
             return raw_class(connection.type, md5sum)
 
     def make_row(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
-        """Return the row of a message: its columns, and its place by the topic's key format.
+        """Return the row of a message: its columns, and its key by the topic's key format.
 
-        In a topic with names, ``name`` is that of the message; '' = the topic's name.
+        The columns are None if they are made later. Otherwise those of the receive time follow
+        those of the format, in the order of ``TopicMetadata.received_columns``.
+
+        Args:
+            received: Receive time, ns.
+            name: Name of the message, for key format ``manual``; '' = the topic's name.
         """
         metadata = self.metadata
-        if self._later and len(wire) <= MAX_LATER_BYTES:
+        if self._is_encoded_later and len(wire) <= MAX_LATER_BYTES:
             return NewRow(received, seq, conn, wire, None)
         columns, odd, raw = self.format.encode_wire(wire)
         if metadata.key_format == "time":
@@ -166,15 +177,19 @@ class TopicTable(RowTable):
     def make_rows(
         self, times: Sequence[int], seqs: Sequence[int], conn: int, wires: Sequence[bytes]
     ) -> list[NewRow]:
-        """Return rows whose columns are made later; empty if some columns must be made now."""
-        if not self._later or max(map(len, wires)) > MAX_LATER_BYTES:
+        """Return rows of one or more messages; empty if some columns must be made now.
+
+        Columns of these rows are made later, so the receive times are the key times.
+        """
+        if not self._is_encoded_later or max(map(len, wires)) > MAX_LATER_BYTES:
             return []
-        none = repeat(None)
-        every = zip(times, seqs, repeat(conn), wires, none, repeat(False), none, repeat(""))
-        return list(map(_new_row, every))
+        columns = raws = repeat(None)
+        odds, names = repeat(False), repeat("")
+        fields = zip(times, seqs, repeat(conn), wires, columns, odds, raws, names)
+        return list(map(_new_row, fields))
 
     def key_time(self, received: int, wire: bytes) -> int:
-        """Return the key time of a message, ns, from its key field."""
+        """Return the key time of a message, ns: its key field, or else its receive time."""
         t = None if self.key_part is None else self.key_part.time(wire)
         # A message without a valid time has its receive time; nsecs may exceed the maximum time.
         return received if t is None else min(t, MAX_NS)
@@ -234,15 +249,15 @@ class TopicTables:
         self._runs = runs
         self._robots = robots
         self._events = events
-        self._made: dict[str, TopicTable] = {}
+        self._tables: dict[str, TopicTable] = {}
         self._mutex = threading.Lock()
 
     def get(self, name: str, metadata: TopicMetadata) -> TopicTable:
-        """Return the object of a table; its metadata follow the comment."""
+        """Return the one object of a table; it takes over ``metadata``, from the latest listing."""
         with self._mutex:
-            table = self._made.get(name)
+            table = self._tables.get(name)
             if table is None:
-                table = self._made[name] = TopicTable(
+                table = self._tables[name] = TopicTable(
                     self._cassandra,
                     self._schema.keyspace,
                     name,
@@ -295,24 +310,27 @@ class TopicTables:
         """Return the tables of a topic, the oldest first: one for each kind and format."""
         return self._table_set(topic, self._schema.listing(fresh=fresh))
 
-    def _table_set(self, topic: str, listing: TableListing, others: Iterable[str] = ()) -> TableSet:
-        names = dict.fromkeys([*listing.by_topic.get(topic, ()), *others])
+    def _table_set(self, topic: str, listing: TableListing, more: Iterable[str] = ()) -> TableSet:
+        """Return the tables of a topic in a listing, and ``more``, by their names."""
+        names = dict.fromkeys([*listing.by_topic.get(topic, ()), *more])
         tables = [self.get(name, listing.visible[name]) for name in names]
         # Names of columns depend on the order: a later definition must not change them.
         tables.sort(key=lambda table: (table.metadata.date, table.name))
         return TableSet(tables, listing, partial(self._renew, topic))
 
-    def _renew(self, topic: str, was: TableSet, fresh: bool) -> TableSet:
-        # Without tables there is no read whose answer comes after the push of a new table.
-        listing = self._schema.listing(fresh=fresh or not was)
-        if listing is was.listing:
-            return was
-        # A topic that was renamed keeps its tables.
-        heirs = (listing.heirs.get(table.name, table.name) for table in was)
+    def _renew(self, topic: str, old: TableSet, fresh: bool) -> TableSet:
+        """Return the present set for an old one; the old one itself if no table is left."""
+        # The server tells of a new table before it answers a read that began later. For an empty
+        # set there is no such read, so the server is asked.
+        listing = self._schema.listing(fresh=fresh or not old)
+        if listing is old.listing:
+            return old
+        # By their names, because a topic that was renamed keeps its tables.
+        heirs = (listing.heirs.get(table.name, table.name) for table in old)
         present = self._table_set(
             topic, listing, [name for name in heirs if name in listing.visible]
         )
-        return present or was
+        return present or old
 
 
 def definition_in(metadata: TopicMetadata) -> Definition | None:
@@ -368,7 +386,9 @@ class IndexColumns:
         self._topic = topic
         self._definition = definition
         self._digest = digest
-        self._known: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
+        self._cached: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
+        """Indexes that ``fields`` got last, and its answer; one object, because threads share
+        it."""
 
     def fields(self, indexes: Mapping[str, str]) -> dict[str, IndexField]:
         """Return the indexes that conditions can use, by field.
@@ -376,7 +396,7 @@ class IndexColumns:
         Args:
             indexes: Indexed field → shadow column, as the table's comment says.
         """
-        old_indexes, fields = self._known
+        old_indexes, fields = self._cached
         if self._definition is not None and old_indexes != indexes:
             fields = {}
             for field, shadow in indexes.items():
@@ -386,11 +406,11 @@ class IndexColumns:
                     fields[field] = IndexField(self._definition, field, shadow)
                 except InvalidName as exc:
                     _log.warning("an index of topic %s is not used: %s", self._topic, exc)
-            self._known = indexes, fields
+            self._cached = indexes, fields
         return fields
 
     def shadows(self, indexes: Mapping[str, str]) -> Shadows | None:
-        """Return the columns of these indexes; None if there is no index."""
+        """Return the columns of these indexes, with that of the digest; None if there is none."""
         values: dict[str, _Value] = {i.shadow: i.value for i in self.fields(indexes).values()}
         if self._digest is not None:
             values[indexes[self._digest.field]] = partial(_digest_of, self._digest)
@@ -398,18 +418,19 @@ class IndexColumns:
             return None
         encoders = tuple(values.values())
 
-        def together(wire: bytes) -> Indexed:
+        def values_of(wire: bytes) -> Indexed:
             encoded: list[bytes | None] = []
             odd = False
-            for value in encoders:
-                one, is_odd = value(wire)
-                encoded.append(one)
+            for encode in encoders:
+                value, is_odd = encode(wire)
+                encoded.append(value)
                 odd = odd or is_odd
             return encoded, odd
 
-        return Shadows(tuple(values), together)
+        return Shadows(tuple(values), values_of)
 
 
 def _digest_of(key_part: KeyPart, wire: bytes) -> tuple[bytes | None, bool]:
+    """Return the md5 of the key field of a message, as a _Value does."""
     value = key_part.value(wire)
     return (None, True) if value is None else (key_part.index(value), False)
