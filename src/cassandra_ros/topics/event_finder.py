@@ -145,7 +145,13 @@ class Events:
         return self.put(event)
 
     def put(self, event: Event) -> Event:
-        """Store an event as it is, after a check of its times; it replaces one with its key."""
+        """Store an event as it is, after a check of its times.
+
+        It replaces one with the same name, start, robot and id.
+
+        Raises:
+            InvalidKey: Its end is before its start.
+        """
         if event.end_ns is not None and event.end_ns < event.start_ns:
             start, end = iso_time(event.start_ns), iso_time(event.end_ns)
             reason = f"its end, {end}, is before its start, {start}: exchange them"
@@ -162,7 +168,10 @@ class Events:
         self._table.remove(self.get(event))
 
     def move(self, event: Event, node: str) -> None:
-        """Give an event another robot; its key stays."""
+        """Give an event another robot than it has; its key stays.
+
+        If the program dies between the two writes, both robots have it, and a repetition helps.
+        """
         self._table.put(replace(event, node=node))
         self._table.remove(event)
 
@@ -203,10 +212,11 @@ class Events:
             names = Names(check_event_name(name), exact=True)
         elif like is not None:
             pattern = check_text("like", like, error=InvalidName, wanted="a pattern, as 'bump%'")
+            # The table is read by the text before the first wildcard.
             names, test = Names(pattern.split("%")[0].split("_")[0]), like_test(pattern)
         events = self._table.read(names, within)
-        mine = (event for event in events if _counts(event, whose))
-        return mine if test is None else (event for event in mine if test(event.name))
+        events = (event for event in events if _concerns(event, whose))
+        return events if test is None else (event for event in events if test(event.name))
 
     def called(self, name: str, like: bool, read: Read) -> Iterator[Event]:
         """Yield the events of a name that meet a read; see query.protocols.NamedTimes."""
@@ -270,6 +280,7 @@ class Events:
 
 
 def _limit(events: Iterator[_E], names: str) -> Iterator[_E]:
+    """Yield events; raise InvalidOption if there are more than MOST_EVENTS."""
     yield from islice(events, MOST_EVENTS)
     if next(events, None) is not None:
         raise InvalidOption(
@@ -277,7 +288,8 @@ def _limit(events: Iterator[_E], names: str) -> Iterator[_E]:
         )
 
 
-def _counts(event: Event, whose: Whose) -> bool:
+def _concerns(event: Event, whose: Whose) -> bool:
+    """Return whether an event is of some robots and runs, or of all."""
     if whose.nodes is not None and event.node and event.node not in whose.nodes:
         return False
     return whose.writers is None or not event.writer or event.writer in whose.writers

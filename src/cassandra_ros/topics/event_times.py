@@ -17,10 +17,13 @@ _E = TypeVar("_E", bound=NamedTime)
 
 
 def merged_events(streams: Iterable[Iterator[_E]]) -> Iterator[_E]:
-    """Yield the events of several stores, each once, by their places; they come by their places."""
+    """Yield the events of several stores, each once, in the order that each stream has.
+
+    The order is that of ``NamedTime.order``, which copies of an event share.
+    """
     events = heapq.merge(*streams, key=lambda event: event.order())
     copies = (list(group) for _, group in groupby(events, key=lambda event: event.order()))
-    # It may have ended in one store and last in a copy.
+    # An event may have ended in one store, and last in an older copy.
     return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
 
 
@@ -78,9 +81,12 @@ class EventTimes:
         active: set[str] = set()  # the time ranges of one robot do not overlap
         reads: list[Read] = []
         for (t, node, begins), following in zip(changes, [*changes[1:], None]):
-            (active.add if begins else active.discard)(node)
+            if begins:
+                active.add(node)
+            else:
+                active.discard(node)
             if active and following is not None and following[0] > t:
-                nodes = None if "" in active else tuple(sorted(active))
+                nodes = None if "" in active else tuple(sorted(active))  # '' = of every robot
                 whose = whole.whose.both(Whose(nodes))
                 if not whose.empty:
                     time_range = TimeRange(t, following[0] - 1)
@@ -97,5 +103,6 @@ def _add(ranges: list[TimeRange], later: TimeRange) -> None:
 
 
 def _has(ranges: Sequence[TimeRange], t: int) -> bool:
+    """Return whether one of some ordered, disjoint time ranges contains a time."""
     n = bisect_right(ranges, (t, LAST_NS)) - 1
     return n >= 0 and ranges[n].high >= t

@@ -31,6 +31,7 @@ _log = logging.getLogger(__name__)
 Progress = Callable[[int, int], None]
 """Called with the number of rows that are done and the number of all rows."""
 MAX_ROUNDS = 8
+"""Maximum number of times that a topic is searched for buckets without values."""
 MAX_TRIES = 3
 """Maximum number of attempts for a lightweight transaction that times out."""
 UNKNOWN_ROW_BYTES = 32 * 1024
@@ -50,8 +51,8 @@ def create_index(
 
 def has_index(tables: Sequence[TopicTable], field: str) -> bool:
     """Return whether every table whose type has the field has an index on it."""
-    able = [table.metadata for table in tables if _type_of(table.metadata, field)]
-    return bool(able) and all(field in metadata.indexes for metadata in able)
+    with_field = [table.metadata for table in tables if _type_of(table.metadata, field)]
+    return bool(with_field) and all(field in metadata.indexes for metadata in with_field)
 
 
 class IndexState(NamedTuple):
@@ -103,7 +104,13 @@ def remove_index(space: Keyspace, topic: str, field: str) -> None:
 
 
 def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
-    """Check that an index on a field can be made in at least one of a topic's tables."""
+    """Check that an index on a field can be made in at least one of a topic's tables.
+
+    Raises:
+        TopicNotFound: The topic has no tables.
+        InvalidOption: Its messages have names, are in blocks, or have this index for whole arrays.
+        InvalidName: No definition has the field, or it cannot be indexed.
+    """
     if not tables:
         raise TopicNotFound(
             f"topic {topic} has no type yet: its first message fixes it; give index= to addTopic"
@@ -146,6 +153,7 @@ def check_unnamed(topic: str, key_format: str) -> None:
 
 
 def _type_of(metadata: TopicMetadata, field: str) -> str | None:
+    """Return the CQL type of the column of an index; None if the table cannot have the index."""
     if metadata.packed:
         return None
     definition = definition_in(metadata)
@@ -164,15 +172,19 @@ class IndexFilling:
         self._done = self._total = 0
 
     def fill(self, tables: Sequence[TopicTable]) -> int:
-        """Fill the index for all rows that lack it; return the number of these rows."""
+        """Fill the index for the rows of buckets that no writer has open.
+
+        Returns:
+            The number of rows of writers whose buckets are complete now.
+        """
         filled = 0
         for _ in range(MAX_ROUNDS):
             # Buckets that were closed meanwhile are filled in another round.
             buckets = list(self._lacking(tables))
             self._total = self._done + sum(row.rows for _, _, rows in buckets for row in rows)
-            marked = [self._fill_bucket(*bucket) for bucket in buckets]
-            filled += sum(rows for rows, _ in marked)
-            if not any(count for _, count in marked):
+            results = [self._fill_bucket(*bucket) for bucket in buckets]
+            filled += sum(rows for rows, _ in results)
+            if not any(writer_count for _, writer_count in results):
                 break
         self._progress(self._done, self._done)
         return filled
@@ -180,6 +192,7 @@ class IndexFilling:
     def _lacking(
         self, tables: Sequence[TopicTable]
     ) -> Iterator[tuple[TopicTable, IndexField, list[BucketRow]]]:
+        """Yield buckets to fill: table, index, entries of the writers whose rows lack values."""
         for table in tables:
             index = table.index_fields.get(self._field)
             if index is None:
@@ -192,21 +205,24 @@ class IndexFilling:
                 yield table, index, buckets[key]
 
     def _fill_bucket(
-        self, table: TopicTable, index: IndexField, writers: list[BucketRow]
+        self, table: TopicTable, index: IndexField, listed: list[BucketRow]
     ) -> tuple[int, int]:
-        """Return the number of rows that were filled, and of writers whose bucket is complete."""
+        """Fill the rows of one bucket, of which ``listed`` are entries of the directory.
+
+        Returns:
+            The number of rows of those writers whose rows are all filled, and of these writers.
+        """
         backfill = Backfill(table, index.shadow)
-        place = writers[0].node, writers[0].bucket
-        rows_of_writers = self._directory.find(table.name, *place)
-        writers = [row for row in rows_of_writers if _lacks(row, index)]
-        totals = {row.writer: BucketTotals() for row in writers}
-        largest = max(
-            (r.largest if r.closed else UNKNOWN_ROW_BYTES for r in rows_of_writers), default=0
-        )
+        place = listed[0].node, listed[0].bucket
+        # Read again before the rows: an entry is marked only if it has not changed since.
+        entries = self._directory.find(table.name, *place)
+        lacking = [row for row in entries if _lacks(row, index)]
+        totals = {row.writer: BucketTotals() for row in lacking}
+        largest = max((r.largest if r.closed else UNKNOWN_ROW_BYTES for r in entries), default=0)
         for page in backfill.pages(*place, largest):
             backfill.write(list(self._updates(table, index, page, totals)))
             self._progress(self._done, max(self._done, self._total))
-        ids = [r.writer for r in writers if self._mark(table, r, index.shadow, totals[r.writer])]
+        ids = [r.writer for r in lacking if self._mark(table, r, index.shadow, totals[r.writer])]
         return sum(totals[writer].rows for writer in ids), len(ids)
 
     def _updates(
@@ -216,6 +232,11 @@ class IndexFilling:
         page: list[WrittenRow],
         totals: dict[int, BucketTotals],
     ) -> Iterator[ShadowUpdate]:
+        """Yield the updates of a page, and count its rows in the totals of their writers.
+
+        Args:
+            totals: Writer id → totals; rows of other writers are left out.
+        """
         for written in page:
             row = written.row
             writer_totals = totals.get(split_seq(row.seq)[0])
@@ -233,6 +254,7 @@ class IndexFilling:
                 yield ShadowUpdate(written, value)
 
     def _mark(self, table: TopicTable, row: BucketRow, shadow: str, totals: BucketTotals) -> bool:
+        """Note that all rows of a writer in a bucket have values; False if the entry changed."""
         marked = row._replace(filled=row.filled | {shadow})
         uncertain = False
         for _ in range(MAX_TRIES):

@@ -59,8 +59,8 @@ class Keyspace:
         return self.nodes(self._all_tables())
 
     def _all_tables(self) -> list[TopicTable]:
-        every = self.schema.tables(fresh=True)
-        return [self.tables.get(name, metadata) for name, metadata in every.items()]
+        listed = self.schema.tables(fresh=True)
+        return [self.tables.get(name, metadata) for name, metadata in listed.items()]
 
     def delete_entries(self, table: str) -> None:
         """Delete what directory, registry and index of places say of a table that is not read."""

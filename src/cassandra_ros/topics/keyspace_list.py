@@ -69,6 +69,7 @@ def tables_of_others(cassandra: Cassandra, keyspace: str) -> list[str]:
 
 
 def _copies(replication: Mapping[str, str]) -> dict[str, int]:
+    """Return KeyspaceInfo.copies for the replication options of a keyspace."""
     factors = {name: text for name, text in replication.items() if name != "class"}
     return {
         "any" if name == "replication_factor" else name: int(text)

@@ -36,7 +36,12 @@ class MessageAdder:
         self._mutex = threading.Lock()
 
     def add(self, table: TopicTable, msg: object, t: Time | None, node: str, name: str = "") -> Key:
-        """Store a message of the table's type (t None = now); return its key when acknowledged."""
+        """Store a message of the table's type (t None = now); return its key when acknowledged.
+
+        Raises:
+            InvalidKey, ClockNotSet: The time is not valid, or not known yet.
+            WriteFailed, SchemaConflict, StoreUnavailable: The message could not be stored.
+        """
         t = clock_ns(self._clock) if t is None else to_ns(t)
         wire = serialize(msg)
         connection = api_connection(table.metadata.topic, definition_of(type(msg)), _caller_id())
@@ -52,16 +57,15 @@ class MessageAdder:
             counter = next(self._counter)
             row = writer.write(handle, t, counter, wire, name)
             writer.flush()
-            now = writer.current(handle)
-        stored = now.table
-        # The message is in a block, or another client removed the topic meanwhile.
-        if row is None or now is not handle:
-            seq = writer.writer_id << COUNTER_BITS | counter
-            row = stored.make_row(t, seq, now.conn, wire, name)
-        if stored.named:
-            seq = writer.writer_id << COUNTER_BITS | counter  # in the row of equal messages it is 0
-            return RowName.of(Position(t, node, seq, stored.name, row.name))
-        return Stamp.from_ns(row.t, node=node, seq=row.seq, table=stored.name)
+            # Another client may have removed the topic, so that the message is in another table.
+            present = writer.current(handle)
+        seq, table = writer.writer_id << COUNTER_BITS | counter, present.table
+        if row is None or present is not handle:  # the message is in a block, or moved
+            row = table.make_row(t, seq, present.conn, wire, name)
+        if table.named:
+            # Not row.seq: in a row that equal messages share it is 0.
+            return RowName.of(Position(t, node, seq, table.name, row.name))
+        return Stamp.from_ns(row.t, node=node, seq=row.seq, table=table.name)
 
     def close(self) -> None:
         """Close the writer; the next add opens another one with the same id."""

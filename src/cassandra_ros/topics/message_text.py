@@ -42,11 +42,13 @@ class MessageText:
         characters: int | None = None,
         bounded: bool = False,
     ) -> None:
-        self._most = MAX_ANSWER_BYTES if bounded else _NO_LIMIT
+        self._max_text = MAX_ANSWER_BYTES if bounded else _NO_LIMIT
+        """Maximum number of characters of a text."""
         self._json = as_json
         self._elements = _NO_LIMIT if elements is None else elements
         self._characters = _NO_LIMIT if characters is None else characters
         self._prints: dict[str, _Print] = {}
+        """Table → function that writes its messages."""
 
     def of(self, row: StoredRow) -> str:
         """Return the text of a message.
@@ -55,10 +57,10 @@ class MessageText:
             AnswerTooLarge: The text is bounded and would be longer.
             CorruptMessage: The bytes are not a message of the type.
         """
-        printed = self._prints.get(row.table.name)
-        if printed is None:
-            printed = self._prints[row.table.name] = self._print_of(row.table)
-        return printed(row.wire)
+        print_message = self._prints.get(row.table.name)
+        if print_message is None:
+            print_message = self._prints[row.table.name] = self._print_of(row.table)
+        return print_message(row.wire)
 
     def _print_of(self, table: TopicTable) -> _Print:
         metadata, definition, as_json = table.metadata, table.definition, self._json
@@ -66,7 +68,7 @@ class MessageText:
         if definition is None:
 
             def print_bytes(wire: bytes) -> str:
-                if as_json and len(wire) > self._most:
+                if as_json and len(wire) > self._max_text:
                     raise too_long()
                 return _bytes_alone(metadata.msg_type, wire, as_json)
 
@@ -76,7 +78,7 @@ class MessageText:
             show = CassandraTopic_json(metadata.msg_type, metadata.md5sum, definition).print_tree
 
         def print_wire(wire: bytes) -> str:
-            tree = reader.read(wire, Budget(self._most, 1, self._elements, self._characters))
+            tree = reader.read(wire, Budget(self._max_text, 1, self._elements, self._characters))
             if tree is None:
                 raise too_long()
             return show(tree)
@@ -85,6 +87,7 @@ class MessageText:
 
 
 def _bytes_alone(msg_type: str, wire: bytes, as_json: bool) -> str:
+    """Return the text of a message without a usable definition."""
     if as_json:
         return json.dumps({"bytes": b64encode(wire).decode("ascii")})
     return f"# {len(wire)} bytes of {msg_type!r}, of which no usable definition is stored"

@@ -86,18 +86,24 @@ class Wish:
     """Whether it was added in this process and may have no table yet."""
 
     def check(self, stored: TopicMetadata, definition: Definition | None) -> None:
-        """Raise TopicExists if the topic is stored with other values than requested."""
-        wrong, metadata = [], self.metadata
+        """Raise TopicExists if the topic is stored with other values than requested.
+
+        Args:
+            stored: Metadata of one of its tables.
+            definition: Definition of the requested type; None = no type was requested.
+        """
+        metadata = self.metadata
+        differences = []
         if definition is not None and not definition.kind.fits(kind_of(stored)):
-            wrong.append(f"type {type_texts(stored, _with_type(metadata, definition))[0]}")
+            differences.append(f"type {type_texts(stored, _with_type(metadata, definition))[0]}")
         key = (metadata.key_format, metadata.key_part)
         if metadata.key_format and key != (stored.key_format, stored.key_part):
-            wrong.append(f"key_format {stored.key_format} {stored.key_part}".rstrip())
+            differences.append(f"key_format {stored.key_format} {stored.key_part}".rstrip())
         if metadata.ttl and metadata.ttl != stored.ttl:
-            wrong.append(f"ttl {stored.ttl} s")
-        if wrong:
+            differences.append(f"ttl {stored.ttl} s")
+        if differences:
             raise TopicExists(
-                f"topic {stored.topic} is stored already with {', '.join(wrong)}; give the "
+                f"topic {stored.topic} is stored already with {', '.join(differences)}; give the "
                 "same, or remove the topic first"
             )
 
@@ -106,14 +112,15 @@ _log = logging.getLogger(__name__)
 
 
 class NewTable(NamedTuple):
-    """A table for new messages, as NewTables.make describes its parts."""
+    """A table for new messages: the arguments of NewTables.make."""
 
     metadata: TopicMetadata
     definition: Definition | None
     large: bool = False
 
 
-def _wish(table: NewTable) -> TableWish:
+def _table_wish(table: NewTable) -> TableWish:
+    """Return what the schema finds a table by, or makes it from."""
     metadata, definition, large = table
     key = (metadata.topic, kind_of(metadata), metadata.format)
     return TableWish(key, planner(metadata, definition), large)
@@ -153,8 +160,11 @@ class NewTables:
 
         Raises:
             InvalidKey: The type does not have the field key_part, and the topic is new.
+            InvalidOption: The format is packed, and the key is not a time.
+            WriteFailed: The table was dropped as soon as it was made.
+            SchemaConflict, StoreUnavailable: The table cannot be made.
         """
-        (name,) = self._schema.ensure_tables([_wish(NewTable(metadata, definition, large))])
+        (name,) = self._schema.ensure_tables([_table_wish(NewTable(metadata, definition, large))])
         table = None if name is None else self._tables.by_name(name)
         if table is None:
             raise WriteFailed(
@@ -171,13 +181,19 @@ class NewTables:
 
         Return them; None = it was dropped as soon as it was made.
         """
-        names = self._schema.ensure_tables(list(map(_wish, tables)))
+        names = self._schema.ensure_tables(list(map(_table_wish, tables)))
         return [None if name is None else self._tables.by_name(name) for name in names]
 
     def for_wish(self, wish: Wish, definition: Definition) -> TopicTable:
-        """Find or make the table for messages of this definition, in the requested format."""
-        for path in wish.metadata.indexes:
-            IndexField(definition, path, "")  # raises InvalidName if there is no such field
+        """Find or make the table for messages of this definition, in the requested format.
+
+        Raises:
+            InvalidName: An index is requested on a field that the type lacks.
+            TopicExists: Another client has made the topic with other values.
+            InvalidKey, InvalidOption, WriteFailed, SchemaConflict, StoreUnavailable: As ``make``.
+        """
+        for field in wish.metadata.indexes:
+            IndexField(definition, field, "")  # raises InvalidName if there is no such field
         table = self.make(_with_type(wish.metadata, definition), definition)
         wish.check(table.metadata, None)  # another client may have made it first
         return table
@@ -207,8 +223,9 @@ class NewTables:
 
 def _with_type(metadata: TopicMetadata, definition: Definition) -> TopicMetadata:
     """Return metadata with the type of a definition."""
-    kind, md5sum, text = definition.type, definition.md5sum, definition.text
-    return metadata.with_(msg_type=kind, md5sum=md5sum, definition=text)
+    return metadata.with_(
+        msg_type=definition.type, md5sum=definition.md5sum, definition=definition.text
+    )
 
 
 def planner(metadata: TopicMetadata, definition: Definition | None) -> Planner:
@@ -216,23 +233,23 @@ def planner(metadata: TopicMetadata, definition: Definition | None) -> Planner:
 
     def plan(others: Sequence[TopicMetadata]) -> TablePlan:
         fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
-        wanted = _beside(metadata, others)
+        planned = _beside(metadata, others)
         if fmt.PACKED:
-            check_packed(wanted, definition)
-            wanted = wanted.with_(indexes={})
-        wanted, shadows = _indexed(wanted, definition, new=not others)
-        bucket_ns = wanted.bucket_ns or _default_bucket(definition)
-        bucket_ns = limit_for_ttl(bucket_ns, wanted.ttl)
-        wanted = wanted.with_(
-            key_format=wanted.key_format or "time",
+            check_packed(planned, definition)
+            planned = planned.with_(indexes={})
+        planned, shadows = _indexed(planned, definition, is_first=not others)
+        bucket_ns = planned.bucket_ns or _default_bucket(definition)
+        bucket_ns = limit_for_ttl(bucket_ns, planned.ttl)
+        planned = planned.with_(
+            key_format=planned.key_format or "time",
             bucket_ns=bucket_ns,
-            span_ns=_span(wanted.span_ns, bucket_ns) if fmt.PACKED else 0,
+            span_ns=_span(planned.span_ns, bucket_ns) if fmt.PACKED else 0,
             columns=tuple(fmt.describe()),
             replaces=(),
             filling=False,
             date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         )
-        return wanted, fmt.table_columns(), shadows
+        return planned, fmt.table_columns(), shadows
 
     return plan
 
@@ -247,10 +264,10 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
         text = "topic %s was stored with type %s and goes on with %s in a table of its own; "
         _log.warning(text + "reading merges both", metadata.topic, *type_texts(first, metadata))
     elif metadata.format not in (formats := {other.format for other in others}):
-        was, now = ", ".join(sorted(formats)), metadata.format
+        old_formats = ", ".join(sorted(formats))
         text = "topic %s is stored in format %s and goes on in format %s in a table of its own; "
         text += "reading merges both, and 'cassandra_bag convert' makes one of them"
-        _log.warning(text, metadata.topic, was, now)
+        _log.warning(text, metadata.topic, old_formats, metadata.format)
     return metadata.with_(
         key_format=first.key_format,
         key_part=first.key_part,
@@ -263,19 +280,27 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
 
 
 def _indexed(
-    metadata: TopicMetadata, definition: Definition | None, new: bool
+    metadata: TopicMetadata, definition: Definition | None, is_first: bool
 ) -> tuple[TopicMetadata, dict[str, str]]:
-    """Return the metadata with the indexes of the table, and the columns of these indexes."""
-    wished, shadows, by_hash = list(metadata.indexes), {}, metadata.key_format == "hash"
-    metadata = metadata.with_(own_time=by_hash, indexes={}, index_count=0)
+    """Return metadata with ``own_time`` and the table's indexes, and the columns of these.
+
+    A key field that is not a time gets the first index, in the shadow column 0.
+
+    Args:
+        metadata: Of its indexes only the fields count.
+        is_first: Whether the topic has no other table. Then a type without the key field is an
+            error; otherwise its messages are found by time.
+    """
+    fields, shadows = list(metadata.indexes), {}
+    metadata = metadata.with_(own_time=metadata.key_format == "hash", indexes={}, index_count=0)
     if metadata.key_format == "msg_part":
         try:
             if definition is None:
-                none = "has no usable definition to find a key field in"
-                raise InvalidKey(f"{metadata.msg_type} {none}")
+                reason = "has no usable definition to find a key field in"
+                raise InvalidKey(f"{metadata.msg_type} {reason}")
             key_part = KeyPart(definition, metadata.key_part)
         except InvalidKey as exc:
-            if new:
+            if is_first:
                 raise
             _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
         else:
@@ -283,21 +308,25 @@ def _indexed(
             if not key_part.is_time:
                 metadata = metadata.with_index(key_part.field, 0)
                 shadows[shadow_column(0)] = key_part.cql_type
-    for path in wished:
-        if definition is None or metadata.named or path in metadata.indexes:
+    for field in fields:
+        if definition is None or metadata.named or field in metadata.indexes:
             continue
         try:
-            index = IndexField(definition, path, shadow_column(metadata.next_shadow))
+            index = IndexField(definition, field, shadow_column(metadata.next_shadow))
         except InvalidName as exc:
             _log.info("messages of topic %s are stored without an index: %s", metadata.topic, exc)
             continue
-        metadata = metadata.with_index(path, metadata.next_shadow)
+        metadata = metadata.with_index(field, metadata.next_shadow)
         shadows[index.shadow] = index.cql_type
     return metadata, shadows
 
 
 def check_packed(metadata: TopicMetadata, definition: Definition | None = None) -> None:
-    """Raise InvalidOption if messages cannot be in blocks, because their key is not a time."""
+    """Raise InvalidOption if messages cannot be in blocks, because their key is not a time.
+
+    Args:
+        definition: Their definition; None = unknown, and a key field may be a time.
+    """
     key_format, key_part = metadata.key_format, metadata.key_part
     if key_format not in NAMED_FORMATS and key_format != "msg_part":
         return
@@ -319,7 +348,7 @@ def check_packed(metadata: TopicMetadata, definition: Definition | None = None) 
 
 
 def _span(span_ns: int, bucket_ns: int) -> int:
-    """Return the maximum time range of a block, ns; wanted 0 = the rate is unknown."""
+    """Return the maximum time range of a block, ns; span_ns 0 = the rate is unknown."""
     return min(max(span_ns or UNKNOWN_SPAN_NS, MIN_SPAN_NS), bucket_ns)
 
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import chain, islice
-from typing import Collection, Iterable, Sequence, Tuple, Union
+from typing import Collection, Dict, Iterable, List, Sequence, Tuple, Union
 
 from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.read import Read, Whose
@@ -27,6 +27,8 @@ _Partition = Tuple[TopicTable, str, Union[int, str]]
 """Table, node, and bucket or name."""
 _Key = Tuple[int, int, bool]
 """``_t`` and ``_seq`` as stored, and whether the message has chunks."""
+_Series = Dict[_Partition, List[List[_Key]]]
+"""Keys to delete, in order; between two lists of a partition lies a row that stays."""
 
 
 def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read) -> int:
@@ -38,13 +40,13 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
     whose = read.whose
     deleted = 0
     # Taken before the directory is read: rows of buckets that are opened later stay.
-    until = space.cassandra.server_time_us()
+    until_us = space.cassandra.server_time_us()
     for table in current(tables):
         ends = table.bucket_of(low), table.bucket_of(high)
         rows = buckets_of(space.directory, table, Whose(whose.nodes), ends)
         if whose.writers is not None or high - low < LONGEST_GAP_NS:
             # The robot's way between the remaining poses may now lead over deleted ones.
-            mine = [r.bucket for r in rows if whose.writers is None or r.writer in whose.writers]
+            mine = {r.bucket for r in rows if whose.writers is None or r.writer in whose.writers}
             _withdraw_places(space, table, mine, low, high)
         writers: dict[tuple[str, int], set[int]] = {}
         for row in rows:
@@ -53,7 +55,7 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
             if table.packed:
                 deleted += _delete_blocks(space, (table, node, bucket), read)
             elif whose.writers is None or row_writers <= whose.writers:
-                deleted += _delete_bucket(space, (table, node, bucket), low, high, until)
+                deleted += _delete_bucket(space, (table, node, bucket), low, high, until_us)
             elif row_writers & whose.writers:
                 # Other writers have rows there too, which stay: delete row by row.
                 deleted += _delete_between(space, (table, node, bucket), read)
@@ -61,8 +63,12 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
 
 
 def _withdraw_places(
-    space: Keyspace, table: TopicTable, buckets: Sequence[int], low: int, high: int
+    space: Keyspace, table: TopicTable, buckets: Collection[int], low: int, high: int
 ) -> None:
+    """Note that poses are deleted in these buckets, in [low, high], before that is done.
+
+    The index of places then no longer covers these times, also where poses stay.
+    """
     if buckets:
         length = table.metadata.bucket_ns
         low, high = max(low, min(buckets) * length), min(high, (max(buckets) + 1) * length - 1)
@@ -73,9 +79,9 @@ def _delete_blocks(space: Keyspace, partition: _Partition, read: Read) -> int:
     """Delete messages from blocks; messages that another writer adds meanwhile stay."""
     table, node, where = partition
     low, high = read.time_range
-    rows = headers(table, node, int(where), low, high, read.whose.writers)
+    block_rows = headers(table, node, int(where), low, high, read.whose.writers)
     deleted = 0
-    while some := list(islice(rows, REMOVED_ROWS_AT_ONCE)):
+    while some := list(islice(block_rows, REMOVED_ROWS_AT_ONCE)):
         space.schema.listing().check_staying(table.name)
         _mark_deleted(space.directory, table, node, int(where))
         cutter = BlockDeletion(space.cassandra, table, node, int(where))
@@ -85,6 +91,7 @@ def _delete_blocks(space: Keyspace, partition: _Partition, read: Read) -> int:
 
 
 def _delete_between(space: Keyspace, partition: _Partition, read: Read) -> int:
+    """Delete rows of a bucket one by one: those of the writers and of the time range of a read."""
     table, node, bucket = partition
     rows = scan_keys(table, node, int(bucket), *read.time_range)
     keys = ((t, seq, large) for t, seq, _, large, _ in rows if read.whose.wrote(seq))
@@ -125,51 +132,53 @@ def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us
         until_us: A time of the server before these were read, us: rows written later stay.
     """
     deleted = pending = 0
-    runs: dict[_Partition, list[list[_Key]]] = {}
+    series: _Series = {}
     rated = iter(rated)
-    for row, goes in rated:
+    for row, is_deleted in rated:
         if row.table.packed:  # from the first row on, or if the topic was converted meanwhile
-            rest = chain([(row, goes)], rated)
+            rest = chain([(row, is_deleted)], rated)
             deleted += delete_rows(space, (other for other, goes in rest if goes))
             break
-        mine = runs.setdefault(_partition_of(row), [[]])
-        if goes:
-            mine[-1].append(_key_of(row))
+        row_series = series.setdefault(_partition_of(row), [[]])
+        if is_deleted:
+            row_series[-1].append(_key_of(row))
             pending += 1
-        elif mine[-1]:
-            mine.append([])
+        elif row_series[-1]:  # a row stays between two series
+            row_series.append([])
         if pending == REMOVED_ROWS_AT_ONCE:
-            _delete_runs(space, runs, until_us)
-            deleted, pending, runs = deleted + pending, 0, {}
-    _delete_runs(space, runs, until_us)
+            _delete_series(space, series, until_us)
+            deleted, pending, series = deleted + pending, 0, {}
+    _delete_series(space, series, until_us)
     return deleted + pending
 
 
-def _delete_runs(space: Keyspace, runs: dict[_Partition, list[list[_Key]]], until_us: int) -> None:
-    for partition, parts in runs.items():
+def _delete_series(space: Keyspace, series: _Series, until_us: int) -> None:
+    for partition, row_series in series.items():
         table, node, where = partition
-        # The chunks of a large message that was written later, and so stays, must stay too.
         ranges: list[list[_Key]] = []
         single: list[_Key] = []
-        if parts[0]:
-            ends = parts[0][0][0], next(run[-1][0] for run in reversed(parts) if run)
-            space.place_index.withdraw(table.name, *ends)
-        for run in parts:
-            if len(run) > 2 and not any(chunked for _, _, chunked in run):
-                ranges.append(run)
+        if row_series[0]:
+            first, last = row_series[0][0], next(keys[-1] for keys in reversed(row_series) if keys)
+            space.place_index.withdraw(table.name, first[0], last[0])
+        for keys in row_series:
+            # A range with chunks is not deleted at once: the chunks of a message that was written
+            # after ``until_us``, and so stays, must stay too.
+            if len(keys) > 2 and not any(chunked for _, _, chunked in keys):
+                ranges.append(keys)
             else:
-                single += run
+                single += keys
         if single:
             _delete_some(space, partition, single)
         if ranges:
             space.schema.listing().check_staying(table.name)
             _mark_deleted(space.directory, table, node, int(where))
-            params = [(until_us, node, where, *run[0][:2], *run[-1][:2]) for run in ranges]
+            params = [(until_us, node, where, *keys[0][:2], *keys[-1][:2]) for keys in ranges]
             statement = table.delete_range(older=True)
             space.cassandra.execute_many(statement, params, what=_deleting(table))
 
 
 def _delete_some(space: Keyspace, partition: _Partition, keys: list[_Key]) -> None:
+    """Delete some rows of a partition, and then their chunks."""
     table, node, where = partition
     space.schema.listing().check_staying(table.name)
     if isinstance(where, int):
@@ -195,18 +204,23 @@ def _cut_some(space: Keyspace, partition: _Partition, rows: list[StoredRow]) -> 
     _delete_chunks(space, partition, [_key_of(row) for row in rows])
 
 
-def _delete_bucket(space: Keyspace, partition: _Partition, low: int, high: int, until: int) -> int:
-    """Delete the rows of a bucket that were written up to ``until``, server time in us."""
+def _delete_bucket(
+    space: Keyspace, partition: _Partition, low: int, high: int, until_us: int
+) -> int:
+    """Delete the rows of a bucket that were written up to a server time; return their number."""
     table, node, where = partition
     bucket = int(where)
     space.schema.listing().check_staying(table.name)
-    rows = [row for row in scan_written(table, node, bucket, low, high) if row[3] <= until]
-    keys = [(t, seq, large) for t, seq, large, _ in rows]
+    keys: list[_Key] = []
+    newest_us = 0
+    for t, seq, large, written_us in scan_written(table, node, bucket, low, high):
+        if written_us <= until_us:
+            keys.append((t, seq, large))
+            newest_us = max(newest_us, written_us)
     if keys:
         marked = _mark_deleted(space.directory, table, node, bucket)
         # Rows that arrive in the range now, and were not counted, are newer than all of these.
-        newest = max(written for *_, written in rows)
-        params = (newest, node, bucket, *keys[0][:2], *keys[-1][:2])
+        params = (newest_us, node, bucket, *keys[0][:2], *keys[-1][:2])
         statement = table.delete_range(older=True)
         space.cassandra.execute(statement, params, what=_deleting(table))
         # Rows of writers that opened the bucket in between may have been deleted too.

@@ -37,6 +37,7 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable], times: bool = False
     A run without a sign of life for STALE_SEC is interrupted.
 
     Args:
+        tables: All tables of the keyspace.
         times: Whether the times of their first and last messages are looked up.
     """
     runs, signs = space.registry.runs(), space.registry.signs()
@@ -58,10 +59,10 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable], times: bool = False
         if _has_ended(run):
             answer.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
             continue
-        mine = counts.get(run.writer, _StoredCounts())
-        alive = not sign.interrupted and min(sign.age_sec, mine.age_sec) <= STALE_SEC
+        run_counts = counts.get(run.writer, _StoredCounts())
+        alive = not sign.interrupted and min(sign.age_sec, run_counts.age_sec) <= STALE_SEC
         state = "recording" if alive else "interrupted"
-        stored = {topic: count for topic, count in sorted(mine.stored.items()) if count}
+        stored = {topic: count for topic, count in sorted(run_counts.stored.items()) if count}
         missing = dict(lost.get(run.writer, Counter()))
         answer.append(replace(run, ended=None, state=state, stored=stored, lost=missing))
     return answer

@@ -13,6 +13,8 @@ from cassandra_ros.messages.connection_header import Connection, cut_definition,
 from cassandra_ros.store.tables.registry import Registry, StoredHeader
 
 MAX_KNOWN = 1024
+"""Maximum number of headers that are cached, of those that were read and of those that were
+written."""
 
 
 class ConnectionCache:
@@ -21,7 +23,9 @@ class ConnectionCache:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._stored: dict[tuple[str, Connection], int] = {}
-        """Table and connection of the headers that were written last → number."""
+        """Table and connection of the headers that were written last → number.
+
+        Without a lock: a header that two threads write twice is the same row."""
         self.get: Callable[[str, int], Connection] = lru_cache(MAX_KNOWN)(self._read)
         """Return a connection of a table by its number; raises CorruptMessage if it is missing."""
 
@@ -31,12 +35,13 @@ class ConnectionCache:
 
     def put_all(self, connections: Sequence[tuple[str, Connection]]) -> list[int]:
         """Write connections of tables (by name) together; return their numbers."""
-        new = {pair: _conn(pair[1]) for pair in connections if pair not in self._stored}
+        stored = self._stored
+        new = {pair: _conn(pair[1]) for pair in connections if pair not in stored}
         if new:
             self._registry.put_headers(
-                [(table, number, _cut(of)) for (table, of), number in new.items()]
+                [(table, number, _cut(header)) for (table, header), number in new.items()]
             )
-        numbers = [new[pair] if pair in new else self._stored[pair] for pair in connections]
+        numbers = [new[pair] if pair in new else stored[pair] for pair in connections]
         if len(self._stored) + len(new) > MAX_KNOWN:
             self._stored = {}
         self._stored.update(new)
@@ -62,6 +67,7 @@ class ConnectionCache:
 
 
 def _conn(connection: Connection) -> int:
+    """Return the number of a connection, the same in every table and program."""
     # Equal headers under two numbers in a bag stay two connections.
     text = f"{connection.topic}\0{connection.number}\0".encode("utf-8", "surrogateescape")
     digest = hashlib.md5(text + connection.header).digest()

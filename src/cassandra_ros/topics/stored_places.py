@@ -50,25 +50,28 @@ class StoredPlaces:
         """Return the time ranges of a topic's messages by run of a node that meet [low, high]."""
         directory, whose = self._keyspace.directory, Whose([node])
 
-        def extents(tables: Sequence[TopicTable]) -> list[Extent]:
-            ranges = []
+        def read_extents(tables: Sequence[TopicTable]) -> list[Extent]:
+            extents = []
             for table in tables:
                 if table.named:
                     continue
-                ends = (table.bucket_of(max(0, low)), table.bucket_of(high))
-                for row in buckets_of(directory, table, whose, ends):
+                buckets = (table.bucket_of(max(0, low)), table.bucket_of(high))
+                for row in buckets_of(directory, table, whose, buckets):
                     if row.closed and not row.rows:
                         continue
                     # The directory has only estimates for an open bucket.
-                    inside = (row.t_min, row.t_max) if row.closed else self._ends(table, row)
-                    if inside is not None and inside[0] <= high and inside[1] >= low:
-                        ranges.append(Extent(table.name, row.writer, *inside))
-            return ranges
+                    ends = (row.t_min, row.t_max) if row.closed else self._open_ends(table, row)
+                    if ends is not None and ends[0] <= high and ends[1] >= low:
+                        extents.append(Extent(table.name, row.writer, *ends))
+            return extents
 
-        return followed(self._tables(topic), extents)
+        return followed(self._tables(topic), read_extents)
 
-    def _ends(self, table: TopicTable, row: BucketRow) -> tuple[int, int] | None:
-        """Return the time range of a node's messages in a bucket; None = it has no messages."""
+    def _open_ends(self, table: TopicTable, row: BucketRow) -> tuple[int, int] | None:
+        """Return a time range with all of a node's messages in an open bucket; None = it has none.
+
+        This is the time range of the bucket itself, unless the bucket is long.
+        """
         length = table.metadata.bucket_ns
         time_range = TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
         if length <= _LONG_NS:

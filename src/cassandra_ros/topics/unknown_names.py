@@ -30,7 +30,8 @@ from cassandra_ros.read import Read
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _told: WeakSet[Stays] = WeakSet()
-"""Lookups of places that were told. Those of several topics may share one."""
+"""Lookups of places of which a warning said that they find no robot. Several topics may share one,
+which is told once."""
 
 
 def names_anything(condition: Expression | None) -> bool:
@@ -55,7 +56,7 @@ def warn_of_unknown_names(
 
 
 def warn_of(reasons: Iterable[str]) -> list[str]:
-    """Log reasons for which no message is found, but '' for none; return them."""
+    """Log the reasons for which no message is found, each once; return them. '' is no reason."""
     texts = list(dict.fromkeys(filter(None, reasons)))
     for reason in texts:
         _log.warning("no message is found: %s", reason)
@@ -84,7 +85,7 @@ def _unknown_names(
 
 
 def _names(leaf: Leaf) -> Sequence[tuple[bool, Literal]]:
-    """Return the names with which a comparison looks for equal ones; True = of robots, not runs."""
+    """Return the names of robots (True) or runs (False) that a comparison asks for by = or IN."""
     if not isinstance(leaf, (Compare, OneOf)) or getattr(leaf, "operator", "=") != "=":
         return ()
     if not isinstance(leaf.operand, (NodeOperand, RunOperand)):
@@ -94,12 +95,12 @@ def _names(leaf: Leaf) -> Sequence[tuple[bool, Literal]]:
 
 
 def _of_all(reasons: Sequence[str]) -> Sequence[str]:
-    """Return the first reason if each keyspace gives one."""
+    """Return the first reason if each keyspace gives one; else the name is stored in one."""
     return reasons[:1] if all(reasons) else ()
 
 
 def _no_robot_near(near: Near, read: Read) -> str:
-    """Say that no robot was on the disk of NEAR in the time of a read; '' = one was."""
+    """Say, once, that no robot was on the disk of NEAR in the time of a read; else ''."""
     low, high = read.time_range
     if near.stays is None or near.stays in _told:
         return ""
