@@ -44,11 +44,13 @@ from cassandra_ros.topics.unknown_names import names_anything, warn_of_unknown_n
 _log = logging.getLogger(__name__)
 
 Cursor = Union[str, Position, None]
+"""Text of ``QueryResult.cursor``, or the position of a message; None or '' = the beginning."""
 _Rows = Generator[ResultRow, None, None]
 _T = TypeVar("_T")
 BlockReader = Callable[[Read], Optional[Iterator[MessageBlock]]]
 """Function that reads all messages of a read as blocks; None = a table has no blocks."""
 _MAX_DIGITS = 18
+"""Maximum number of digits of a number in a cursor."""
 
 
 def rows_inside(
@@ -66,11 +68,11 @@ def rows_inside(
 
 
 def _is_at(row: Row, place: Position, source: Source[RowT_co]) -> bool:
-    """Return whether a row is at a position, also if its table was replaced since."""
-    at = row.position
-    if at[:3] != place[:3]:
+    """Return whether a row is at a position, also if the table of the position was replaced."""
+    position = row.position
+    if position[:3] != place[:3]:
         return False
-    return at == place or place.table not in {table.name for table in source.tables}
+    return position == place or place.table not in {table.name for table in source.tables}
 
 
 class Condition:
@@ -160,7 +162,7 @@ class Condition:
         self, results: Iterator[_T], select: Select, tables: Sequence[Table], read: Read
     ) -> Iterator[_T]:
         told = names_anything(select.condition)
-        return _telling(results, select, tables, read) if told else results
+        return _warn_if_empty(results, select, tables, read) if told else results
 
 
 def blocks_inside(
@@ -187,7 +189,7 @@ def blocks_inside(
                 yield block
 
 
-def _telling(
+def _warn_if_empty(
     rows: Iterator[_T], select: Select, tables: Sequence[Table], read: Read
 ) -> Iterator[_T]:
     """Yield rows, or blocks; if none comes, warn of unknown names in the condition."""
@@ -217,6 +219,7 @@ class ResultPlace(NamedTuple):
 
 
 START = ResultPlace(0, 0, None)
+"""The beginning of a result."""
 
 
 def read_cursor(cursor: Cursor) -> ResultPlace:
@@ -261,7 +264,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         pushdown: Choice of what the server checks.
         read: Number of rows received from the server.
         time_ranges: Number of time ranges that NEAR and EVENT have selected so far.
-        counted: Whether the directory had the answer.
+        counted: Whether the directory has the answer, so that no row is read.
         hints: Why no message is found, as far as that is known when all rows were taken.
 
     Raises:
@@ -289,9 +292,11 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if not any(table.named for table in tables):
             _warn_of_units(select, source)
         self._place = place = read_cursor(after)
+        """Place at which a later result continues while ``_row`` is None."""
         self._given = self._skip = 0
+        """The same while it is a message: its other fields, see ResultPlace."""
         self._row: Row | None = None
-        """Row of which the last result rows were taken."""
+        """Message that gave the last result row; None = no row was taken, or several gave it."""
         self._projections = Projections(select, tables)
         visible_names = self._projections.names[: len(select.visible)]
         self.columns = tuple(name for names in visible_names for name in names)
@@ -305,18 +310,21 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         """Whether a message satisfied the condition so far."""
         self.counted = bool(select.counts and bounds.whole and bounds.read.only is None)
         rest = None if select.limit is None else max(0, select.limit - place.given)
-        self._left = min((n for n in (rest, limit) if n is not None), default=None)
+        self._max_rows = min((n for n in (rest, limit) if n is not None), default=None)
+        """Maximum number of rows of this result; None = no limit."""
         read = replace(
             bounds.read,
             reverse=select.descending,
             columns=self._projections.columns,
             chooser=self.pushdown,
-            wanted=None if select.gathers else self._left,
+            wanted=None if select.gathers else self._max_rows,
         )
-        self._bounds = self._restrict(replace(bounds, read=read))
+        self._spans, self.time_ranges = spans_of(select.condition), 0
+        spans = None if self._spans is None else self._count_spans
+        self._bounds = replace(bounds, read=read, spans=spans)
         self._rows = self._gather(place.given) if select.gathers else self._select_rows(place)
-        if after in (None, "") and self._left != 0 and names_anything(select.condition):
-            self._rows = self._telling(self._rows)
+        if after in (None, "") and self._max_rows != 0 and names_anything(select.condition):
+            self._rows = self._warn_if_unmatched(self._rows)
 
     def __iter__(self) -> Iterator[ResultRow]:
         return self._rows
@@ -358,9 +366,10 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _telling(self, rows: _Rows) -> _Rows:
+    def _warn_if_unmatched(self, rows: _Rows) -> _Rows:
         """Yield rows; if no message satisfies the condition, warn of unknown names."""
         for row in rows:
+            # Where rows are gathered, ``_make_rows`` knows: count(*) gives a row in any case.
             self._matched |= not self.select.gathers
             yield row
         if not self._matched:
@@ -368,8 +377,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self.hints += warn_of_unknown_names(condition, tables, self._bounds.read)
 
     def _select_rows(self, place: ResultPlace) -> _Rows:
+        """Yield the rows that single messages give, after a place."""
         count = place.given
-        last = None if self._left is None else count + self._left
+        last = None if self._max_rows is None else count + self._max_rows
         if last == count:
             return
         cursor, table = place.position, None
@@ -397,11 +407,12 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                 values = next_values
 
     def _stored_rows(self, place: ResultPlace) -> Iterator[Row]:
+        """Yield the messages after a place, with that at the place if some of its rows remain."""
         at, bounds = place.position, self._bounds
         reverse = bounds.read.reverse
         if at is None or not (place.skip or reverse):
             bounds = replace(bounds, read=replace(bounds.read, after=at))
-            return self._read(bounds, self._left if self.direct else None)
+            return self._read(bounds, self._max_rows if self.direct else None)
         # Begin with the message at the cursor, because some of its rows may be missing, and the
         # store can continue after a position only in ascending order.
         cut_bounds = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
@@ -414,17 +425,14 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         )
 
     def _read(self, bounds: Bounds, limit: int | None = None) -> Iterator[Row]:
+        """Yield the messages within bounds, and count them."""
         for row in rows_inside(self._source, bounds, limit):
             self.read += 1
             self._watch()
             yield row
 
-    def _restrict(self, bounds: Bounds) -> Bounds:
-        """Return bounds restricted to the time ranges of NEAR and EVENT, and count these ranges."""
-        self._spans, self.time_ranges = spans_of(self.select.condition), 0
-        return replace(bounds, spans=None if self._spans is None else self._count_spans)
-
     def _count_spans(self, low: int, high: int, reverse: bool) -> Iterator[NsRange]:
+        """Yield the time ranges of NEAR and EVENT, and count them."""
         for span in () if self._spans is None else self._spans(low, high, reverse):
             self.time_ranges += 1
             self._watch()
@@ -432,16 +440,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     def _gather(self, count: int) -> _Rows:
         """Yield rows that are made from several rows, after the first ``count`` ones."""
-        one = bool(self.select.aggregates) and not self.select.group
-        if (count and one) or self._left == 0:
+        is_single = bool(self.select.aggregates) and not self.select.group
+        if (count and is_single) or self._max_rows == 0:
             return
-        last = None if self._left is None else count + self._left
+        last = None if self._max_rows is None else count + self._max_rows
         for row in islice(self._make_rows(last), count, last):
             count += 1
             self._place = ResultPlace(count, 0, _NOWHERE)
             yield row
 
     def _make_rows(self, most: int | None) -> Iterator[ResultRow]:
+        """Yield all rows that are made from several rows; only the first ``most`` are needed."""
         select, bounds, projections = self.select, self._bounds, self._projections
         if self.counted and not bounds.empty:
             count = self._source.count(bounds.read)
@@ -455,6 +464,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
 
 def _warn_of_units(select: Select, source: Source[Row]) -> None:
+    """Warn of integers compared with KEY that were probably meant in s, ms or us."""
     for literal in in_another_unit(select.condition):
         first = next(iter(source.read(Read(wanted=1))), None)
         unit_text = "" if first is None else other_unit(literal.value, first.t)

@@ -36,6 +36,7 @@ from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
 
 Clock = Callable[[], Time]
+"""Returns the time of a message that is added without a key."""
 AnyKey = Any
 """A Time, or another key of a topic: a name, or the value of a field."""
 
@@ -72,7 +73,10 @@ class Finder:
     def many(
         self, key: AnyKey, to_key: AnyKey, *, limit: int | None = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
-        """Yield the rows in the time range from key to to_key, or those with one key."""
+        """Yield the rows in the time range from key to to_key, or those with one key.
+
+        A time alone begins a time range that is open at its end; a name or value is one key.
+        """
         limit = check_limit(limit)
         read = replace(self.read_of(key, to_key), reverse=reverse, wanted=limit)
         return islice(self._rows(read), limit)
@@ -85,16 +89,16 @@ class Finder:
         return rows if self.where is None else filter(self.where.test, rows)
 
     def columns(self, key: AnyKey, to_key: AnyKey, columns: ColumnChoice) -> Iterator[StoredRow]:
-        """Yield the rows of ``many``; for a time range only these columns are read."""
+        """Yield the rows of ``many``; for a time range without a condition only these columns."""
         read = self.read_of(key, to_key)
         if self.where is not None or read.only is not None:
             return self._rows(read)
         return self._rows(replace(read, columns=columns))
 
     def reads(self, key: AnyKey, to_key: AnyKey) -> tuple[ReadRows, ReadBlocks | None]:
-        """Return how to read the rows of ``many`` for arrays.
+        """Return how to read the rows of ``many`` for arrays: row by row, and as blocks.
 
-        Row by row, and as blocks (or None).
+        The second is None for rows with a condition, a name or a value.
         """
         read, blocks = self.read_of(key, to_key), None
         if read.only is None:
@@ -105,7 +109,10 @@ class Finder:
         return partial(self.columns, key, to_key), blocks
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
-        """Return the number of rows of ``many``; those of a time range are not read for it."""
+        """Return the number of rows of ``many``.
+
+        Those of a time range without a condition are counted by the directory where possible.
+        """
         read = self.read_of(key, to_key)
         if read.only is None and self.where is None:
             return count_rows(self.keyspace.directory, self.tables, read)
@@ -136,6 +143,7 @@ class Finder:
         return count
 
     def _remove(self, read: Read) -> int:
+        """Delete the rows of a read that satisfy the condition; return their number."""
         if read.only is None and self.where is None and not self._is_named:
             return delete_time_range(self.keyspace, self.tables, read)
         return delete_rows(self.keyspace, self._rows(read, bare=True))
@@ -165,15 +173,17 @@ class Finder:
         return table if table is not None and table.metadata.topic == self.topic else None
 
     def _exact(self, key: AnyKey, table: TopicTable | None) -> StoredRow | None:
+        """Return the row of a key that the store gave, if it satisfies the condition."""
         row = None if table is None else self.keyspace.rows.exact(table, key)
         passes = row is None or self.where is None or self.where.test(row)
         return row if passes else None
 
     def _is_exact(self, key: AnyKey) -> bool:
-        """Return whether the store gave this key, which then identifies its row."""
+        """Return whether the store gave this key, for a message of these robots and writers."""
         return is_ours(key) and self.whose.has(key)
 
     def _near(self, key: AnyKey, nearest: str) -> StoredRow | None:
+        """Return the row nearest to a time, one of NEAREST; None if there is none on that side."""
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is not one of {', '.join(NEAREST)}")
         read = self.one(key)
@@ -187,6 +197,7 @@ class Finder:
         return self._nearest(read.time_range.low, nearest)
 
     def _nearest(self, t: int, nearest: str) -> StoredRow | None:
+        """Return the row nearest to a time, ns; of two equally near ones the earlier one."""
         ways = {"before": [True], "after": [False], "either": [True, False]}[nearest]
         if self.where is None:
             near = self.keyspace.rows.beside(self.tables, t, self.whose, ways)
@@ -209,31 +220,32 @@ class Finder:
     def absent(self, key: AnyKey, nearest: str | None) -> str:
         """Return an error text for a key without a message, with the nearest one and a hint."""
         read = self.one(key)
-        none = f"topic {self.topic} has no message"
+        text = f"topic {self.topic} has no message"
         if self.whose.nodes is not None:
-            none += f" of node {self.whose.nodes[0]}"
+            text += f" of node {self.whose.nodes[0]}"
         if self.whose.writers is not None:
-            none += " of this run"
+            text += " of this run"
         if self.where is not None:
-            none += f" that satisfies {self.where.text!r:.200}"
+            text += f" that satisfies {self.where.text!r:.200}"
         if isinstance(read.only, Named):
             name = str(key)[:80]
-            return f"{none} under the name {name!r}; items() lists the names that there are"
+            return f"{text} under the name {name!r}; items() lists the names that there are"
         if read.only is not None:
-            return f"{none} whose key field is {key!r:.80}"
+            return f"{text} whose key field is {key!r:.80}"
         t = read.time_range.low
-        none += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
+        text += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
         if isinstance(key, int) and 0 < t < SECONDS_BELOW:
-            return none + "; integers are nanoseconds; did you mean seconds (a float)?"
+            return text + "; integers are nanoseconds; did you mean seconds (a float)?"
+        near = None
         # With a condition the nearest message may be far away and take long to find.
-        look = nearest is None and self.where is None
-        near = self._nearest(t, "either") if look else None
+        if nearest is None and self.where is None:
+            near = self._nearest(t, "either")
         if near is None:
-            return none
+            return text
         if abs(near.t - t) > _NEAR_NS:
-            return none + f"; the nearest lies at {iso_time(near.t)} ({near.t} ns)"
+            return text + f"; the nearest lies at {iso_time(near.t)} ({near.t} ns)"
         secs, nsecs = divmod(near.t, SECOND_NS)
-        return none + (
+        return text + (
             f"; one lies {abs(near.t - t)} ns away: write the time as "
             f"{{secs: {secs}, nsecs: {nsecs}}}: a number goes through a float"
         )
@@ -243,7 +255,8 @@ class Finder:
         return self.key_format in NAMED_FORMATS
 
     @cached_property
-    def _parts(self) -> list[KeyPart]:
+    def _key_parts(self) -> list[KeyPart]:
+        """Key fields of the tables whose messages are found by a value."""
         return [t.value_part for t in self.tables if t.value_part is not None]
 
     def read_of(self, key: AnyKey, to_key: AnyKey) -> Read:
@@ -260,7 +273,7 @@ class Finder:
             return self.one(key)
         if self._is_value(key) or self._is_value(to_key):
             raise InvalidKey(
-                f"the key of topic {self.topic} is its field {self._parts[0].field}, and its "
+                f"the key of topic {self.topic} is its field {self._key_parts[0].field}, and its "
                 "messages are in the order of time: a range goes from one genpy.Time to "
                 "another; ask for a range of values with executeCQL"
             )
@@ -276,13 +289,14 @@ class Finder:
         return Read(TimeRange(t, t), self.whose)
 
     def _is_value(self, key: AnyKey) -> bool:
-        return bool(self._parts) and key is not None and not is_time(key)
+        """Return whether a key is the value of a field; a genpy.Time is always a time."""
+        return bool(self._key_parts) and key is not None and not is_time(key)
 
     def of_text(self, text: str) -> AnyKey:
         """Return the key in a text that a user typed; see CassandraTopic.keyOfText."""
         if self._is_named or any(table.named for table in self.tables):
             return text
-        if self._parts:
+        if self._key_parts:
             return Stamp.from_ns(to_ns(text)) if is_iso_text(text) else self._value(text)
         text = text.strip()
         return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
@@ -293,7 +307,7 @@ class Finder:
         Text fields last: they accept all.
         """
         problem: InvalidKey | None = None
-        for key_part in sorted(self._parts, key=lambda key_part: key_part.is_text):
+        for key_part in sorted(self._key_parts, key=lambda key_part: key_part.is_text):
             try:
                 return key_part.from_text(text)
             except InvalidKey as exc:
@@ -301,27 +315,23 @@ class Finder:
         raise problem or InvalidKey(f"{text!r:.80} is not a key")
 
 
-def unit_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:
-    """Return why an integer of ns was meant in another unit; '' = not so, or not known."""
-    if not other_unit(key, LAST_NS):  # nothing has to be read
-        return ""
-    timed = [table for table in tables if not table.named]
-    first = next(keyspace.rows.read(timed, Read(wanted=1)), None)
-    unit_text = "" if first is None else other_unit(key, first.t)
-    if first is None or not unit_text:
-        return ""
-    return (
-        f"{key} means nanoseconds since 1970, long before the first message of topic "
-        f"{first.topic}; {unit_text}"
-    )
-
-
 def refuse_units(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
-    """Raise InvalidKey for integers meant in another unit: they match all messages, or none."""
+    """Raise InvalidKey for integers of ns that were meant in another unit.
+
+    They would match all messages, or none. They lie long before the first message of the tables; if
+    there is no message, none is refused.
+    """
     for key in keys:
-        reason = unit_meant(keyspace, tables, key)
-        if reason:
-            raise InvalidKey(reason)
+        if not other_unit(key, LAST_NS):  # nothing has to be read
+            continue
+        timed = [table for table in tables if not table.named]
+        first = next(keyspace.rows.read(timed, Read(wanted=1)), None)
+        unit_text = "" if first is None else other_unit(key, first.t)
+        if first is not None and unit_text:
+            raise InvalidKey(
+                f"{key} means nanoseconds since 1970, long before the first message of topic "
+                f"{first.topic}; {unit_text}"
+            )
 
 
 def time_range_between(
@@ -353,6 +363,9 @@ class Filter:
     Attributes:
         text: The condition as given.
         test: Returns whether a row of the topic satisfies it, whatever its node.
+
+    Raises:
+        InvalidQuery: The condition does not fit the tables that the topic has now.
     """
 
     def __init__(

@@ -68,6 +68,7 @@ class RowReader:
         yield from self._stored_rows(rows, tables)
 
     def _by_time(self, tables: Sequence[TopicTable], read: Read) -> Iterable[TableRow]:
+        """Yield the rows of a time range, those with names too, in the order of a read."""
         timed = [table for table in tables if not table.named]
         rows: Iterable[TableRow] = read_rows(self._directory, timed, read)
         if len(timed) == len(tables):
@@ -87,6 +88,7 @@ class RowReader:
     def _stored_rows(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
     ) -> Iterator[StoredRow]:
+        """Yield rows of these tables as StoredRow, large messages requested ahead."""
         if len(tables) == 1:
             stored_rows: Iterable[StoredRow] = map(StoredRow, rows, repeat(tables[0]))
         else:
@@ -97,6 +99,7 @@ class RowReader:
             yield row
 
     def _by_name(self, tables: Sequence[TopicTable], read: Read) -> Iterator[TableRow]:
+        """Yield the rows of tables with names in the order of a read, after listing all keys."""
         low, high = read.time_range
         keys = [
             RowKey(table, key.position)
@@ -112,23 +115,30 @@ class RowReader:
     def _versions(
         self, tables: Sequence[TopicTable], only: Named, read: Read
     ) -> Iterator[TableRow]:
+        """Yield the rows of a read with one name; tables with a time key have none."""
         nodes = read.whose.nodes
         streams = []
         for table in tables:
             if table.named:
-                nodes_listed = {node for _, node in self._directory.nodes(table.name, 0, 0)}
-                names = sorted(nodes_listed if nodes is None else nodes_listed.intersection(nodes))
-                streams.append(versions(table, only.name, names, reverse=read.reverse))
+                # A table with names lists its nodes in slot 0.
+                listed = {node for _, node in self._directory.nodes(table.name, 0, 0)}
+                node_ids = sorted(listed if nodes is None else listed.intersection(nodes))
+                streams.append(versions(table, only.name, node_ids, reverse=read.reverse))
         rows = heapq.merge(*streams, key=lambda row: row.position, reverse=read.reverse)
         return (row for row in rows if read.whose.has(row) and _inside(row.position, read))
 
     def _by_value(
         self, tables: Sequence[TopicTable], only: Valued, read: Read
     ) -> Iterator[TableRow]:
+        """Yield the rows of a read whose key field has one value.
+
+        Raises:
+            InvalidKey: The field has another type in each table.
+        """
         keys: list[Iterator[RowKey]] = []
         problems: list[InvalidKey] = []
-        parts = [(table, table.value_part) for table in tables if table.value_part is not None]
-        for table, key_part in parts:
+        key_parts = [(table, table.value_part) for table in tables if table.value_part is not None]
+        for table, key_part in key_parts:
             try:
                 value = key_part.encode(only.value)
             except InvalidKey as exc:
@@ -136,8 +146,8 @@ class RowReader:
                 continue
             if value is not None:
                 keys.append(self._keys_of(table, key_part, value, read.whose))
-        if problems and len(problems) == len(parts):
-            raise problems[0]  # the field has the value's type in none of the tables
+        if problems and len(problems) == len(key_parts):
+            raise problems[0]
         row_keys: Iterable[RowKey] = heapq.merge(*keys, key=lambda key: key.position)
         row_keys = (key for key in row_keys if _inside(key.position, read))
         yield from fetch_rows(reversed(list(row_keys)) if read.reverse else row_keys)
@@ -145,6 +155,7 @@ class RowReader:
     def _keys_of(
         self, table: TopicTable, key_part: KeyPart, value: bytes, whose: Whose
     ) -> Iterator[RowKey]:
+        """Yield the keys of a table's rows with an encoded value, in the order of all reads."""
         index = key_part.index(value)
         if index is not None:
             shadow = table.metadata.indexes[key_part.field]
@@ -159,7 +170,8 @@ class RowReader:
     def received(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times.
 
-        For topics whose key is a time in the message all keys are listed first.
+        For topics whose key is a time in the message all keys are listed first. Of the read only
+        time range, robots and writers count for these.
         """
         foreign = {t.name: t for t in tables if t.metadata.own_time and not t.named}
         rows = self.read([t for t in tables if t.name not in foreign], read)
@@ -175,14 +187,17 @@ class RowReader:
         return heapq.merge(rows, late, key=lambda row: row.arrival)
 
     def exact(self, table: TopicTable, key: Stamp | RowName) -> StoredRow | None:
-        """Return one row by a key that the store gave: one SELECT."""
+        """Return one row by a key that the store gave, with one SELECT; None if it was deleted."""
         t, name = (key.t, str(key)) if isinstance(key, RowName) else (key.ns, "")
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
         row = fetch_row(table, position)
         return None if row is None else StoredRow(row, table)
 
     def at(self, tables: Sequence[TopicTable], read: Read) -> StoredRow | None:
-        """Return the first row of a read whose time range is one time."""
+        """Return the first row of a read whose time range is one time; None if there is no row.
+
+        Tables with names are left out.
+        """
         timed = [table for table in tables if not table.named]
         if read.whose.writers is not None:  # the first row may be of another writer
             return next(self.read(timed, replace(read, wanted=1)), None)
@@ -192,9 +207,9 @@ class RowReader:
     def beside(
         self, tables: Sequence[TopicTable], t: int, whose: Whose, ways: Sequence[bool]
     ) -> Sequence[StoredRow] | None:
-        """Return the rows nearest to a time; None if this fast way does not work.
+        """Return the rows nearest to a time, one for each way; None if this does not work.
 
-        See fetch.beside.
+        See fetch.beside. It works only if a row of each way is in the bucket of the time.
         """
         if whose.writers is not None or any(table.named for table in tables):
             return None
@@ -203,7 +218,7 @@ class RowReader:
 
 
 def _inside(position: Position, read: Read) -> bool:
-    """Return whether a row with one name or value is in the time range and after the cursor."""
+    """Return whether a row is in the time range of a read, and after its cursor."""
     low, high = read.time_range
     return low <= position.t <= high and is_after(position, read.after, read.reverse)
 
@@ -253,6 +268,7 @@ def _was_replaced(tables: Tables) -> bool:
 
 
 def _same(tables: Tables, now: Tables) -> bool:
+    """Return whether the present tables are those that were read."""
     return now is tables or {table.name for table in now} == {table.name for table in tables}
 
 
@@ -271,20 +287,24 @@ class FollowingReader:
         self._rows = rows
 
     def read(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
-        """Yield rows in order; ``read.after`` may name a table that was replaced."""
+        """Yield rows in order; ``read.after`` may name a table that was replaced.
+
+        Each turn of the loop reads the present tables from the last yielded row on.
+        """
         after, last = read.after, None
         while True:
             tables = current(tables)
             if last is not None:
                 after = last.position
-            behind = None if after is None else after.among((t.name for t in tables), read.reverse)
+            start = None if after is None else after.among((t.name for t in tables), read.reverse)
             try:
-                rows = self._rows.read(tables, replace(read, after=behind))
+                rows = self._rows.read(tables, replace(read, after=start))
                 first = next(rows, None)
                 if last is None and _was_replaced(tables):
                     continue  # no row was yielded yet
                 if first is not None:
-                    tables = list(tables)  # tables made from now on need not be read
+                    # A list stands for these tables alone: later ones need not be read.
+                    tables = list(tables)
                     last = first
                     yield first
                 for row in rows:
@@ -296,7 +316,11 @@ class FollowingReader:
                 tables = _present_tables(tables, exc)
 
     def blocks(self, tables: Tables, read: Read) -> Iterator[MessageBlock] | None:
-        """Read whole blocks, like RowReader; raises TopicNotFound if a table was replaced."""
+        """Read whole blocks, like RowReader.
+
+        The iterator raises TopicNotFound if a table was replaced or dropped meanwhile, after its
+        blocks at the latest: it does not go on in the new table.
+        """
         tables = current(tables)
         stream = self._rows.blocks(tables, read)
         return None if stream is None else _unless_replaced(tables, stream)
@@ -306,6 +330,7 @@ class FollowingReader:
         last: StoredRow | None = None
         while True:
             tables = current(tables)
+            # Without the table, whose name is another one after a replacement.
             arrival = None if last is None else last.arrival[:3]
             try:
                 for row in self._rows.received(tables, read):
@@ -318,24 +343,22 @@ class FollowingReader:
                 tables = _present_tables(tables, exc)
 
     def exact(self, table: TopicTable, key: Stamp | RowName) -> StoredRow | None:
-        """Return one row by a key that the store gave: one SELECT."""
+        """Return one row by a key that the store gave; None if it was deleted."""
         return followed([table], lambda now: self._rows.exact(now[0], key))
 
     def at(self, tables: Tables, read: Read) -> StoredRow | None:
-        """Return the first row of a read whose time range is one time."""
+        """Return the first row of a read whose time range is one time, like RowReader."""
         return followed(tables, lambda now: self._rows.at(now, read))
 
     def beside(
         self, tables: Tables, t: int, whose: Whose, ways: Sequence[bool]
     ) -> Sequence[StoredRow] | None:
-        """Return the rows nearest to a time.
-
-        None if this fast way does not work and ``read`` must.
-        """
+        """Return the rows nearest to a time, like RowReader; None = ``read`` must find them."""
         return followed(tables, lambda now: self._rows.beside(now, t, whose, ways))
 
 
 def _unless_replaced(tables: Tables, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+    """Yield blocks; after them raise TopicNotFound if a table was replaced meanwhile."""
     yield from blocks
     if _was_replaced(tables):
         raise TopicNotFound("a table was replaced while it was read")

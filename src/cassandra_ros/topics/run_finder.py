@@ -52,7 +52,9 @@ class Runs:
         self._has_written = has_written
         self._robots = robots
         self._seen_robots: set[str] = set()
+        """Robots that are known to have runs or messages; they are not looked for again."""
         self._told_robots: set[str] = set()
+        """Robots of which a warning was given."""
         self._texts: dict[int, tuple[str, float]] = {}
         """Writer id → text of its run, and monotonic time until which it is valid, s."""
         self._mutex = threading.Lock()
@@ -70,13 +72,17 @@ class Runs:
         return runs
 
     def _matches(self, run: RunName) -> list[Run]:
-        every = sorted(self._registry.runs(), key=_began, reverse=True)
+        """Return the runs that are meant, the newest first; an empty list if there are none.
+
+        They are found by name, else by writer id, else by file, else by its folder. '' is no name.
+        """
+        runs = sorted(self._registry.runs(), key=_began, reverse=True)
         text = str(run)
         for matches in (
-            [other for other in every if other.name == run and run],
-            [other for other in every if str(other.writer) == text],
-            [other for other in every if os.sep in text and other.source == _absolute(text)],
-            [other for other in every if os.sep in text and _folder(other) == _absolute(text)],
+            [other for other in runs if other.name == run and run],
+            [other for other in runs if str(other.writer) == text],
+            [other for other in runs if os.sep in text and other.source == _absolute(text)],
+            [other for other in runs if os.sep in text and _folder(other) == _absolute(text)],
         ):
             if matches:
                 return matches
@@ -88,7 +94,10 @@ class Runs:
         return describe_runs(runs) if len(runs) > 1 else ""
 
     def writers(self, run: RunName) -> Writers:
-        """Return the writer ids of a run, or of all runs with its name; raises like find."""
+        """Return the writer ids of a run, or of all runs with its name; raises like find.
+
+        The id of a client without a run is found, too, if it has stored messages.
+        """
         if run is None or isinstance(run, frozenset):
             return run
         writers = frozenset(other.writer for other in self._matches(check_run(run)))
@@ -104,7 +113,7 @@ class Runs:
         return [run.node for run in self._registry.runs() if run.writer == writer]
 
     def called(self, text: str) -> frozenset[int]:
-        """Return the writer ids for which ``self.text`` returns ``text``."""
+        """Return the writer ids for which ``self.text`` returns ``text``, also without messages."""
         with self._mutex:
             texts = self._learn()  # later calls of text() for single rows agree with this
         writers = {writer for writer, run_text in texts.items() if run_text == text}
@@ -112,7 +121,10 @@ class Runs:
         return frozenset(writers if writer is None or writer in texts else writers | {writer})
 
     def unknown(self, text: str) -> str:
-        """Say that no run has this value of RUN, with similar ones; '' = one has it."""
+        """Say that no run has this value of RUN, with similar ones; '' = one has it.
+
+        A client without a run has its writer id as value, if it has stored messages.
+        """
         writers = self.called(text)
         named = [run for run in self._registry.runs() if run.writer in writers]
         if named or any(map(self._has_written, writers)):
@@ -120,7 +132,10 @@ class Runs:
         return self._absent(text)
 
     def unknown_robot(self, node: str) -> str:
-        """Say that no run and no message is of a robot, with similar names; '' = one is."""
+        """Say that no run and no message is of a robot, with similar names; '' = one is.
+
+        It is also '' if nothing is stored of any robot.
+        """
         if node in self._seen_robots:
             return ""
         names = {run.node for run in self._registry.runs()}
@@ -133,7 +148,7 @@ class Runs:
         return f"{where}; {_similar(node, names - {''}, 'robots')}"
 
     def check_robot(self, node: str | None) -> None:
-        """Warn of a robot that has no messages, once; None = all robots."""
+        """Warn once of a robot that has no run and no messages; None = all robots."""
         if node is None or node in self._told_robots:
             return
         reason = self.unknown_robot(node)
@@ -152,13 +167,17 @@ class Runs:
             return text
 
     def _learn(self) -> dict[int, str]:
-        """Read the names of the writers' runs; a repeated import may change them."""
+        """Read the names of the writers' runs, and cache them; the caller holds the mutex.
+
+        They are read again and again because a repeated import may change them.
+        """
         texts = {run.writer: run.name or str(run.writer) for run in self._registry.runs()}
         until = time.monotonic() + RUN_NAME_CACHE_SEC
         self._texts.update((writer, (text, until)) for writer, text in texts.items())
         return texts
 
     def _absent(self, run: RunName) -> str:
+        """Return the error text for a run that is not stored, with those that may be meant."""
         text, runs = str(run), self._registry.runs()
         where = f"there is no run {run!r:.80} in keyspace {self._name}"
         base = os.path.basename(text)
@@ -181,7 +200,13 @@ class Runs:
         return frozenset(run.node for run in runs) if has_runs and writers else None
 
     def context(self, run: RunName) -> RunContext | None:
-        """Return parameters and node graph at the start of a run; None if they were not stored."""
+        """Return parameters and node graph at the start of a run; None if they were not stored.
+
+        Of several runs with its name the newest is taken.
+
+        Raises:
+            RunNotFound, InvalidName: As ``find``; also if ``run`` is None or a set of ids.
+        """
         newest, *_ = self.find("" if run is None or isinstance(run, frozenset) else run)
         return self._registry.get_context(newest.writer, newest.node)
 
@@ -210,6 +235,7 @@ def describe_runs(runs: Sequence[Run]) -> str:
 
 
 def _describe(runs: Sequence[Run]) -> str:
+    """Return ids, robots and sources of the first _MOST_NAMED runs as a list in words."""
     descriptions = [
         f"{run.writer}{f' of robot {run.node}' if run.node else ''}"
         + (f" (from {run.source})" if run.source else "")
@@ -242,6 +268,7 @@ def _folder(run: Run) -> str:
 
 
 def _began(run: Run) -> datetime:
+    """Return the start of a run for sorting; a run without one is the oldest."""
     return run.started or datetime.min
 
 

@@ -73,6 +73,7 @@ def count_rows(directory: Directory, tables: Sequence[TopicTable], read: Read) -
 
 
 def _count(directory: Directory, table: TopicTable, read: Read) -> int:
+    """Count the messages of one table; only at the ends of the time range they may be read."""
     (low, high), whose = read.time_range, read.whose
     if table.named:
         keys = (k for k in list_names(table, whose.nodes) if whose.wrote(k.position.seq))
@@ -87,8 +88,8 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
     if whose == EVERYBODY and not table.metadata.ttl:
         if first <= last:
             count, rows = directory.count_closed(table.name, first, last)
-        for edge in {end for end in ends if not first <= end <= last}:
-            rows += buckets_of(directory, table, whose, (edge, edge))
+        for end_bucket in {end for end in ends if not first <= end <= last}:
+            rows += buckets_of(directory, table, whose, (end_bucket, end_bucket))
     else:
         rows = buckets_of(directory, table, whose, ends)
     inner = [row for row in rows if first <= row.bucket <= last]
@@ -111,7 +112,10 @@ def _count_edge(table: TopicTable, group: Sequence[BucketRow], read: Read) -> in
 
 
 def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:
-    """Return whether some tables may hold messages of ``whose``, without reading these."""
+    """Return whether some tables may hold messages of ``whose``, without reading these.
+
+    A bucket counts that is listed, also if it is open and has no message yet.
+    """
 
     def holds(now: Sequence[TopicTable]) -> bool:
         timed = (t for t in now if not t.named)
@@ -127,8 +131,8 @@ def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
     """Return the number of partitions: buckets of a node in a table; 0 for named messages."""
 
     def count(now: Sequence[TopicTable]) -> int:
-        every = ((t.name, row) for t in now for row in buckets_of(directory, t))
-        return len({(name, row.node, row.bucket) for name, row in every})
+        entries = ((t.name, row) for t in now for row in buckets_of(directory, t))
+        return len({(name, row.node, row.bucket) for name, row in entries})
 
     return followed(tables, count)
 
@@ -144,6 +148,9 @@ def describe(
 
     With a run or node only the tables in which it has messages are listed. A time range, which must
     not cut a bucket, does not matter to messages with names.
+
+    Args:
+        losses: Losses to count, by topic and node.
     """
     return followed(tables, lambda now: _describe_all(directory, now, whose, losses, time_range))
 
@@ -168,6 +175,7 @@ def _describe_all(
         groups: dict[str, list[BucketRow]] = {}
         for row in rows:
             groups.setdefault(row.node, []).append(row)
+        # A table without messages is listed too, unless a run or node is asked for.
         for node in sorted(groups) or [table.metadata.nodeID] * (whose == EVERYBODY):
             missing = lost[table.metadata.topic, node]
             infos.append(_describe(table, node, groups.get(node, []), missing))
@@ -186,7 +194,7 @@ def buckets_of(
 
 
 def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:
-    """Return totals of the messages of each name and node, each in the form of a bucket."""
+    """Return the totals of each name and node as a closed bucket, whose number has no meaning."""
     totals_by_name: dict[tuple[str, str], BucketTotals] = {}
     for (t, node, seq, _, name), size, chunked, odd in list_names(table, whose.nodes):
         if not whose.wrote(seq):
@@ -199,6 +207,7 @@ def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:
 
 
 def _describe(table: TopicTable, node: str, rows: list[BucketRow], lost: int) -> TopicInfo:
+    """Describe what a node has in a table, by its buckets."""
     filled = [row for row in rows if row.rows]
     metadata = table.metadata
     by_bucket: Counter[int] = Counter()
@@ -227,5 +236,6 @@ def _describe(table: TopicTable, node: str, rows: list[BucketRow], lost: int) ->
 
 
 def _rate(filled: Sequence[BucketRow]) -> float | None:
+    """Return TopicInfo.rate_hz; the buckets have messages."""
     covered_ns = sum(row.t_max - row.t_min for row in filled)
     return sum(row.rows - 1 for row in filled) * SECOND_NS / covered_ns if covered_ns else None
