@@ -114,7 +114,7 @@ def _count_edge(table: TopicTable, group: Sequence[BucketRow], read: Read) -> in
 def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:
     """Return whether some tables may hold messages of ``whose``, without reading these.
 
-    A bucket counts that is listed, also if it is open and has no message yet.
+    A bucket that the directory lists counts, also if it has no message.
     """
 
     def holds(now: Sequence[TopicTable]) -> bool:

@@ -50,6 +50,7 @@ DELETING_SEC = 5.0
 """Time after a deletion within which a bucket counts as in use, s. A client that goes on deleting
 renews the mark."""
 LOOK_SEC = 1.0
+"""Interval at which the directory is asked whether a writer goes on, s."""
 
 
 @dataclass
@@ -80,11 +81,15 @@ class _Plan:
 
     @property
     def metadata(self) -> TopicMetadata:
-        """Metadata for the comment of the new table, as far as they are known before."""
-        was = self.newest.metadata
+        """Metadata for the planner of the new table: its indexes are only fields, without columns.
+
+        Of a format with blocks, span_ns is still to be set.
+        """
         fields = {name: "" for old in self.olds for name in old.metadata.indexes}
         names = {n: f for old in self.olds for n, f in old.metadata.index_names.items()}
-        return was.with_(format=self.format, span_ns=0, indexes=fields, index_names=names)
+        return self.newest.metadata.with_(
+            format=self.format, span_ns=0, indexes=fields, index_names=names
+        )
 
 
 def convert_topic(
@@ -112,13 +117,13 @@ def convert_topic(
     report = Converted(topic, format_name)
     plans = _plans(space, report)
     if not plans:
-        _forget_left(space, topic)
+        _clear_leftovers(space, topic)
         return report
     for plan in plans:
         if format_class(plan.format).PACKED:
             check_packed(plan.metadata, plan.newest.definition)
     _await_writers(space, topic, [old for plan in plans for old in plan.olds])
-    _forget_left(space, topic)
+    _clear_leftovers(space, topic)
     for plan in plans:
         report.messages += Conversion(space, plan, progress, {}).run()
         report.tables += len(plan.olds)
@@ -135,22 +140,22 @@ def move_messages(space: Keyspace, topic: str, robots: NewRobots, progress: Prog
         SchemaConflict, WriteFailed, StoreUnavailable, CorruptMessage: As convert_topic; the
             messages that were not moved keep their nodeID.
     """
-    every = space.schema.listing(fresh=True).every
+    listed = space.schema.listing(fresh=True).every
     tables = space.tables.of_topic(topic)
-    moves = any(_has(space, table, robots) for table in tables)
+    has_moves = any(_has_moves(space, table, robots) for table in tables)
     # A killed call may have moved all messages, and left the earlier table.
-    leaves = any(name in every for table in tables for name in table.metadata.replaces)
-    if not moves and not leaves:
+    has_leftovers = any(name in listed for table in tables for name in table.metadata.replaces)
+    if not has_moves and not has_leftovers:
         return
     _await_writers(space, topic, tables)
-    _forget_left(space, topic)
+    _clear_leftovers(space, topic)
     for table in space.tables.of_topic(topic):
-        if _has(space, table, robots):
+        if _has_moves(space, table, robots):
             plan = _Plan([table], table, table.metadata.format)
             Conversion(space, plan, progress, robots).run()
 
 
-def _has(space: Keyspace, table: TopicTable, robots: NewRobots) -> bool:
+def _has_moves(space: Keyspace, table: TopicTable, robots: NewRobots) -> bool:
     """Return whether a table has messages that get another nodeID."""
     if table.named:
         positions = (key.position for key in list_names(table, None))
@@ -197,6 +202,8 @@ def _usable_format(table: TopicTable, report: Converted) -> str:
 
 
 State = Dict[Tuple[object, ...], object]
+"""What a client changes when it writes to tables or deletes in them: the entry of a writer's bucket
+→ its heartbeat; a table with names → a number that is another one for other messages."""
 
 
 def _state(space: Keyspace, tables: Sequence[TopicTable]) -> State:
@@ -216,7 +223,15 @@ def _state(space: Keyspace, tables: Sequence[TopicTable]) -> State:
 
 
 def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) -> None:
-    """Wait until no writer has the tables open; raises SchemaConflict if one is writing."""
+    """Wait until no client writes to the tables, or deletes in them.
+
+    It returns at once if no bucket is in use, else when the clients that use one have been silent
+    for long enough: QUIET_SEC, or DELETING_SEC. Messages with names have no buckets, so nothing is
+    waited for.
+
+    Raises:
+        SchemaConflict: A client goes on, or began meanwhile.
+    """
     first: State | None = None
     while True:
         now: State = {}
@@ -243,20 +258,20 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
         time.sleep(LOOK_SEC)
 
 
-def _forget_left(space: Keyspace, topic: str) -> None:
+def _clear_leftovers(space: Keyspace, topic: str) -> None:
     """Delete what killed conversions left, and the entries of replaced tables.
 
     Before that, what clients stored in a replaced table after the switch is copied. No client
     may write into the new table meanwhile: it may be the one whose rows are copied.
     """
-    every = space.schema.listing(fresh=True).every
-    late: list[tuple[TopicTable, list[TopicTable]]] = []
+    listed = space.schema.listing(fresh=True).every
+    replaced: list[tuple[TopicTable, list[TopicTable]]] = []
     for table in space.tables.of_topic(topic):
-        names = [name for name in table.metadata.replaces if name in every]
+        names = [name for name in table.metadata.replaces if name in listed]
         if names and table.metadata.since_us:
-            late.append((table, [space.tables.get(name, every[name]) for name in names]))
-    _await_writers(space, topic, [table for table, _ in late])
-    for table, olds in late:
+            replaced.append((table, [space.tables.get(name, listed[name]) for name in names]))
+    _await_writers(space, topic, [table for table, _ in replaced])
+    for table, olds in replaced:
         TableCopy(space, olds, table, None, {}).add_written_since(table.metadata.since_us)
     replacement.clear(space.schema, topic, space.delete_entries)
     for table in space.tables.of_topic(topic):
@@ -316,6 +331,11 @@ class Conversion:
                 tries += 1
 
     def _once(self) -> int:
+        """Convert the tables once; return the number of messages.
+
+        Raises:
+            _Changed: They were changed while they were copied; the new table is deleted.
+        """
         new = self._begin()
         try:
             self._await_clients()
@@ -328,11 +348,13 @@ class Conversion:
                 set_lifetime(self._space.schema, new.name, new.metadata.ttl)
             if _state(self._space, self._olds) != before:
                 raise _Changed
+            # From here on readers see the new table, and nothing takes that back.
             replacement.finish(self._space.schema, new.name, self._names)
         except BaseException:
             self._give_up(new)
             raise
         self._await_clients()
+        # Before the old tables are dropped: what a client has still stored there.
         if _state(self._space, self._olds) != before:
             copy.add_late()
         else:
@@ -372,6 +394,7 @@ class Conversion:
         time.sleep(replacement.SETTLE_SEC)
 
     def _begin(self) -> TopicTable:
+        """Make the new table, which readers do not see yet, with the headers of the old ones."""
         headers = list(self._space.registry.headers(self._names))
         span_ns = 0
         if format_class(self._plan.format).PACKED:

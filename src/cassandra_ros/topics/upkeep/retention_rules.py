@@ -166,7 +166,7 @@ class _Retention:
             until_us = self._space.cassandra.server_time_us()
             last: _Periods = {}
             for gap in _gaps(pins, self.cutoff, self._thin_end - 1):
-                rows = self._rate(table, gap, last)
+                rows = self._rated(table, gap, last)
                 report.thinned += (
                     sum(surplus for _, surplus in rows)
                     if self._dry_run
@@ -174,7 +174,11 @@ class _Retention:
                 )
 
     def _cutoff_of_size(self, tables: Sequence[TopicTable], most: int) -> int:
-        """Return the time from which on the messages of all tables take at most ``most`` bytes."""
+        """Return the time from which on the messages of all tables take at most ``most`` bytes.
+
+        From the newest on, buckets are counted by the directory as long as whole ones fit. The rest
+        is read message by message.
+        """
         directory = self._space.directory
         rows_of_tables = [
             (table, row)
@@ -183,25 +187,28 @@ class _Retention:
             if row.rows
         ]
         rows_of_tables.sort(key=lambda pair: -pair[1].t_max)
-        room, whole = most, LAST_NS
+        room, begin = most, LAST_NS
         for _, row in rows_of_tables:
             if row.bytes > room:
-                whole = row.t_max + 1  # all later messages fit, also those of earlier buckets
+                begin = row.t_max + 1  # all later messages fit, also those of earlier buckets
                 break
             room -= row.bytes
         else:
             return 0
-        newer = [(table, row) for table, row in rows_of_tables if row.t_max >= whole]
-        nbytes = sum(row.bytes for _, row in newer if row.t_min >= whole)
+        newer = [(table, row) for table, row in rows_of_tables if row.t_max >= begin]
+        nbytes = sum(row.bytes for _, row in newer if row.t_min >= begin)
         for table, row in newer:
-            if row.t_min < whole:
+            if row.t_min < begin:
                 whose = Whose((row.node,), frozenset([row.writer]))
-                rows = self._bare([table], Read(TimeRange(whole, row.t_max), whose))
+                rows = self._bare([table], Read(TimeRange(begin, row.t_max), whose))
                 nbytes += sum(row.size for row in rows)
-        return self._further(tables, whole, most - nbytes)
+        return self._further(tables, begin, most - nbytes)
 
     def _further(self, tables: Sequence[TopicTable], begin: int, room: int) -> int:
-        """Go back from a time message by message, while they fit into ``room`` bytes."""
+        """Go back from a time message by message, while they fit into ``room`` bytes.
+
+        Return the time from which on all fit; 0 = all messages do.
+        """
         for row in self._bare(tables, Read(TimeRange(0, begin - 1), reverse=True)):
             room -= row.size
             if room < 0:
@@ -213,6 +220,7 @@ class _Retention:
         return self._space.rows.read(tables, replace(read, columns=lambda table: ()))
 
     def _make_pins(self) -> _Pins:
+        """Find what is kept before the cutoff, and before the end of thinning."""
         rules, end = self._rules, max(self.cutoff, self._thin_end)
         pins = _Pins()
         if rules.keep:
@@ -238,12 +246,15 @@ class _Retention:
             _log.warning("nothing is kept for an event: %s", exc)
             return ()
 
-    def _rate(
+    def _rated(
         self, table: TopicTable, gap: TimeRange, last: _Periods
     ) -> Iterator[tuple[StoredRow, bool]]:
         """Yield all messages and whether they are surplus: not a publisher's first of a period.
 
         Latched messages are kept: each one holds until the next one comes.
+
+        Args:
+            last: Last periods so far; it is changed.
         """
         for row in self._bare([table], Read(gap)):
             if self._finder.is_latched(row):
@@ -259,11 +270,16 @@ def _times(rows: Iterable[StoredRow]) -> Iterator[int]:
 
 
 def _unite(ranges: Iterable[TimeRange]) -> Iterator[TimeRange]:
+    """Sort time ranges, and join those that overlap or touch."""
     return (TimeRange(*span) for span in merge_ranges(sorted(ranges)))
 
 
 def _gaps(pins: Iterable[TimeRange], low: int, high: int) -> Iterator[TimeRange]:
-    """Yield the time ranges between ordered pins, from low to high, both included."""
+    """Yield the time ranges between pins, from low to high, both included.
+
+    Args:
+        pins: Time ranges in the order of their starts; they may overlap.
+    """
     for pin in pins:
         if pin.low > low and low <= high:
             yield TimeRange(low, min(high, pin.low - 1))

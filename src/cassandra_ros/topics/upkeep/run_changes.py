@@ -42,15 +42,15 @@ def change_runs(
     _require_ended(catalog, runs, node)
     if node is not None:
         _move(catalog, runs, node, progress)
-    places = {(stored.writer, stored.node if node is None else node) for stored in runs}
-    for stored in [stored for stored in registry.runs() if (stored.writer, stored.node) in places]:
+    keys = {(stored.writer, stored.node if node is None else node) for stored in runs}
+    for stored in [stored for stored in registry.runs() if (stored.writer, stored.node) in keys]:
         texts = {**stored.labels, **labels}
-        kept = {key: text for key, text in texts.items() if text is not None}
-        changed = replace(stored, labels=kept, name=stored.name if name is None else name)
+        new_labels = {key: text for key, text in texts.items() if text is not None}
+        changed = replace(stored, labels=new_labels, name=stored.name if name is None else name)
         if changed != stored:
             registry.put_run(changed)
-    every = list_runs(catalog.keyspace, catalog.tables(None), times=True)
-    return [stored for stored in every if (stored.writer, stored.node) in places]
+    all_runs = list_runs(catalog.keyspace, catalog.tables(None), times=True)
+    return [stored for stored in all_runs if (stored.writer, stored.node) in keys]
 
 
 def _check_labels(labels: Mapping[str, str | None]) -> None:
@@ -63,16 +63,16 @@ def _check_labels(labels: Mapping[str, str | None]) -> None:
 
 def _require_ended(catalog: Catalog, runs: Sequence[Run], node: str | None) -> None:
     """Raise SchemaConflict if a run cannot be changed now."""
-    every = list_runs(catalog.keyspace, catalog.tables(None))
-    states = {(run.writer, run.node): run.state for run in every}
+    all_runs = list_runs(catalog.keyspace, catalog.tables(None))
+    states = {(run.writer, run.node): run.state for run in all_runs}
     for run in runs:
         state = states.get((run.writer, run.node))
-        called = f"run {run.name or run.writer!s:.80}"
+        subject = f"run {run.name or run.writer!s:.80}"
         if state == "recording":
-            raise SchemaConflict(f"{called} goes on: change it when it has ended")
+            raise SchemaConflict(f"{subject} goes on: change it when it has ended")
         if node not in (None, run.node) and run.kind == "import" and state != "ended":
             raise SchemaConflict(
-                f"{called} is an import that was interrupted, and a repetition would not find it "
+                f"{subject} is an import that was interrupted, and a repetition would not find it "
                 "under another robot: import the file again first"
             )
 

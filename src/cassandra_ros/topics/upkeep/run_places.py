@@ -22,6 +22,7 @@ from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_places import StoredPlaces
 
 Progress = Optional[Callable[[int, int], None]]
+"""Called with the seconds of a run that are done, and all its seconds."""
 
 
 class PlacesOfRun(NamedTuple):
@@ -50,7 +51,8 @@ def index_places(
     """
     states: list[PlacesOfRun] = []
     stored = catalog.stored_places
-    ttls = [t.metadata.ttl for topic in _tell_poses(stored) for t in topic.tables]
+    ttls = [t.metadata.ttl for topic in _pose_topics(stored) for t in topic.tables]
+    # Visits must stay as long as any pose, 0 = for ever.
     ttl = 0 if 0 in ttls else max(ttls, default=0)
     for stored_run, state in _states(catalog, node, run):
         if state.state != "not indexed":
@@ -71,6 +73,7 @@ def places_of_runs(catalog: Catalog, node: str | None, run: RunName) -> list[Pla
 
 
 def _states(catalog: Catalog, node: str | None, run: RunName) -> list[tuple[Run, PlacesOfRun]]:
+    """Return the chosen runs, each with its state in the index."""
     check_nodes(node)
     writers = catalog.keyspace.runs.writers(run)
     runs = [
@@ -78,11 +81,12 @@ def _states(catalog: Catalog, node: str | None, run: RunName) -> list[tuple[Run,
         for stored_run in list_runs(catalog.keyspace, catalog.tables(None))
         if node in (None, stored_run.node) and (writers is None or stored_run.writer in writers)
     ]
-    look = _IndexComparison(catalog)
-    return [(stored_run, look.at(stored_run)) for stored_run in runs]
+    comparison = _IndexComparison(catalog)
+    return [(stored_run, comparison.state_of(stored_run)) for stored_run in runs]
 
 
-def _tell_poses(stored: StoredPlaces) -> list[CassandraTopic]:
+def _pose_topics(stored: StoredPlaces) -> list[CassandraTopic]:
+    """Return the topics from which places are indexed."""
     return [t for t in stored.topics() if t.name == TF or tells_poses(t) or tells_fixes(t)]
 
 
@@ -91,15 +95,21 @@ class _IndexComparison:
 
     def __init__(self, catalog: Catalog) -> None:
         self._stored = catalog.stored_places
-        self._topics = _tell_poses(self._stored)
+        self._topics = _pose_topics(self._stored)
         names = [table.name for topic in self._topics for table in topic.tables]
-        self._noted: dict[tuple[str, int], list[IndexedPoses]] = {}
+        self._records: dict[tuple[str, int], list[IndexedPoses]] = {}
+        """Node and writer of a run → its index records."""
         for record in catalog.keyspace.place_index.placed(names):
-            self._noted.setdefault((record.node, record.writer), []).append(record)
+            self._records.setdefault((record.node, record.writer), []).append(record)
 
-    def at(self, run: Run) -> PlacesOfRun:
+    def state_of(self, run: Run) -> PlacesOfRun:
+        """Return the state of the index for a run.
+
+        It is indexed if the records cover all of its poses, and each frame is still fixed as when
+        they were made.
+        """
         places = PlacesOfRun(run.name or str(run.writer), run.node, run.writer, "no poses")
-        records = self._noted.get((run.node, run.writer), [])
+        records = self._records.get((run.node, run.writer), [])
         extents = [
             extent
             for topic in self._topics
@@ -114,22 +124,25 @@ class _IndexComparison:
         is_covered = all(
             extent.table in tables
             and any(
-                n.low <= extent.low and extent.high <= n.high
-                for n in records
-                if n.table == extent.table
+                record.low <= extent.low and extent.high <= record.high
+                for record in records
+                if record.table == extent.table
             )
             for extent in extents
         )
         if not is_covered:
             return places._replace(state="not indexed")
         fixed = self._fixed(run.node)
-        frames = [n.above for n in records if n.robot != n.table]
-        if any(fixed.get(name, "") != how for above in frames for name, how in above.items()):
+        # A record of a topic of poses has the table in place of the robot's frame.
+        chains = [record.above for record in records if record.robot != record.table]
+        if any(fixed.get(name, "") != how for above in chains for name, how in above.items()):
             return places._replace(state="not indexed")
-        first, last = min(n.low for n in records), max(n.high for n in records)
+        first = min(record.low for record in records)
+        last = max(record.high for record in records)
         return places._replace(state="indexed", first_ns=first, last_ns=last)
 
     def _fixed(self, node: str) -> Mapping[str, str]:
+        """Return parent and pose of each fixed frame of a node, see fixed_frames; {} without tf."""
         try:
             return fixed_frames(TfRecording(self._stored.find, node))
         except TopicNotFound:

@@ -26,7 +26,13 @@ from cassandra_ros.store.connection.requests import RawRow
 from cassandra_ros.store.rows.fetch import fetch_row, list_names
 from cassandra_ros.store.rows.orphans import old_us, orphans, partitions, remove_orphans, rows_at
 from cassandra_ros.store.rows.row_counts import recount
-from cassandra_ros.store.tables.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
+from cassandra_ros.store.tables.directory import (
+    STALE_SEC,
+    BucketKey,
+    BucketRow,
+    BucketTotals,
+    slot_of,
+)
 from cassandra_ros.store.tables.row_table import ALL, TableRow, Zones, decode_long, encode_texts
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import read_wire
@@ -36,8 +42,10 @@ from cassandra_ros.topics.upkeep.table_copy import Progress
 _log = logging.getLogger(__name__)
 
 PAGE_BYTES = 2 * 1024 * 1024
+"""Approximate size of a page of rows, bytes."""
 MAX_PAGE_ROWS = 1000
 BLOCKS_AT_ONCE = 8
+"""Number of blocks of a page."""
 _ZONES_AT = WHOLE_BLOCK_COLUMNS.count(",") + 1
 """Index of the first column after those of WHOLE_BLOCK_COLUMNS."""
 MAX_DAMAGES = 10_000
@@ -48,13 +56,21 @@ class DamageKind(str, Enum):
     """Kind of a damage."""
 
     MESSAGE = "message"
+    """A message, or a block, cannot be read."""
     CONNECTION = "connection"
+    """The connection of messages is missing."""
     DEFINITION = "definition"
+    """A definition, or the comment of a table, was changed by hand."""
     COUNT = "count"
+    """The directory has other counts or times than the rows."""
     BOUNDS = "bounds"
+    """The zones of a block do not hold for its messages."""
     UNLISTED = "not listed"
+    """Messages are in no directory."""
     ORPHAN = "orphan"
+    """Chunks have no message."""
     LEFTOVER = "leftover"
+    """The directory lists a table that does not exist."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +108,7 @@ class CheckReport:
     damages: list[Damage] = field(default_factory=list)
     """The first MAX_DAMAGES damages."""
     found: int = 0
+    """Number of all damages."""
     mended: int = 0
 
     @property
@@ -156,14 +173,16 @@ class _Check:
         self.report = CheckReport()
         self.tables: list[TopicTable] = []
         self._conns: Counts[int] = Counter()
+        """Connection → number of its messages in the table that is being read."""
         self._done = 0
+        """Number of messages that were read."""
 
     def topic(self, name: str) -> None:
         """Read all tables of a topic."""
         try:
             tables = self._catalog.get(name).tables
         except DefinitionError as exc:
-            self._note_unread(DamageKind.DEFINITION, name, "", str(exc))
+            self._note_general(DamageKind.DEFINITION, name, "", str(exc))
             return
         for table in tables:
             self.tables.append(table)
@@ -182,6 +201,7 @@ class _Check:
         self._orphans(table)
 
     def _buckets(self, table: TopicTable) -> None:
+        """Read the buckets of a table, those that the directory does not list too."""
         low, high = (table.bucket_of(t) for t in self._time_range)
         entries = self._space.directory.buckets_by_robot(table.name, low, high)  # see _by_time
         groups: dict[tuple[str, int], list[BucketRow]] = {}
@@ -201,7 +221,12 @@ class _Check:
     def _read(
         self, table: TopicTable, node: str, bucket: int, rows: list[BucketRow], total: int
     ) -> None:
-        """Read the messages of a bucket."""
+        """Read the messages of a bucket.
+
+        Args:
+            rows: Its entries in the directory, from which the size of a page is estimated.
+            total: Number of messages of the table by the directory, for the progress.
+        """
         count, size = sum(row.rows for row in rows), sum(row.bytes for row in rows)
         page = BLOCKS_AT_ONCE if table.packed else PAGE_BYTES * count // (size + 1) + 1
         names = table.listing()
@@ -233,6 +258,7 @@ class _Check:
             self._tell(total)
 
     def _message(self, table: TopicTable, row: TableRow) -> None:
+        """Read a message that has its own row; raises CorruptMessage."""
         self._conns[row.conn] += 1
         try:
             wire = read_wire(table, row)
@@ -243,7 +269,11 @@ class _Check:
         self._count(1, len(wire))
 
     def _block(self, table: TopicTable, node: str, row: BlockRow | None, bounds: RawRow) -> None:
-        """Read a block, and compute its zones again."""
+        """Read a block, and compute its zones again; raises CorruptMessage.
+
+        Args:
+            bounds: Values of ``_nan`` and of the zone columns.
+        """
         if row is None or not row.left:
             return
         self._conns[row.conn] += row.left
@@ -283,6 +313,7 @@ class _Check:
         self._done += messages
 
     def _tell(self, total: int) -> None:
+        """Call the progress function; the total is that of the present table."""
         if self._progress is not None:
             self._progress(self._done, max(total, self._done))
 
@@ -294,23 +325,26 @@ class _Check:
             recounts = recount(table, node, bucket)
         except CorruptMessage:
             return  # reported when the bucket was read
-        if [_sign(row) for row in directory.find(table.name, node, bucket)] != [
-            _sign(row) for row in before
-        ]:
+        after = directory.find(table.name, node, bucket)
+        if list(map(_sign, after)) != list(map(_sign, before)):  # a client changed it meanwhile
             self.report.count_writing()
             return
         by_writer = {row.writer: row for row in before}
         for writer in sorted({*recounts, *by_writer}):
             totals, row = recounts.get(writer, BucketTotals()), by_writer.get(writer)
             if row is None:
-                self._list(table, (table.name, node, bucket, writer), totals)
+                self._report_unlisted(table, (table.name, node, bucket, writer), totals)
             elif not row.closed:
                 self._count_open_bucket(table, row, totals)
             elif not table.metadata.ttl and not _agrees(row, totals):
-                self._recount(table, row, totals)
+                self._report_count(table, row, totals)
 
     def _slots(self, table: TopicTable, places: set[tuple[str, int]]) -> None:
-        """Report robots whose buckets no reader finds, because cr_node does not list them."""
+        """Report robots whose buckets no reader finds, because cr_node does not list them.
+
+        Args:
+            places: Node and number of each bucket that was read.
+        """
         directory, length = self._space.directory, table.metadata.bucket_ns
         buckets_of_slots: dict[tuple[int, str], list[int]] = {}
         for node, bucket in places:
@@ -355,6 +389,12 @@ class _Check:
     def _put_by_time(
         self, table: TopicTable, row: BucketRow, since_us: int, *, listed: bool
     ) -> None:
+        """Report, and repair, an entry of cr_active that is missing or (listed) has other counts.
+
+        Args:
+            row: The entry of cr_bucket.
+            since_us: Server time before it was read, us.
+        """
         directory, mended = self._space.directory, False
         if self._repair:
             directory.put_by_time(table.name, row, table.metadata.ttl, since_us)
@@ -373,30 +413,33 @@ class _Check:
         )
 
     def _count_open_bucket(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
-        """Count a bucket that is not closed; that its counts are estimates is not damage."""
+        """Count a bucket that is not closed; that its counts are estimates is not damage.
+
+        With --repair one without a living writer is closed with its true counts.
+        """
         if row.age_sec <= STALE_SEC:
             self.report.count_writing()
         elif self._repair:
             self._space.directory.put_recount(table.name, row, totals, table.metadata.ttl)
 
-    def _list(
-        self, table: TopicTable, place: tuple[str, str, int, int], totals: BucketTotals
-    ) -> None:
+    def _report_unlisted(self, table: TopicTable, key: BucketKey, totals: BucketTotals) -> None:
         """Report messages that the directory does not list, so that no reader finds them."""
+        _, node, _, writer = key
         if self._repair:
-            self._space.directory.mark(place, table.metadata.ttl, (), totals, closed=True)
+            self._space.directory.mark(key, table.metadata.ttl, (), totals, closed=True)
         self._note(
             DamageKind.UNLISTED,
             table,
-            place[1],
+            node,
             (totals.t_min, totals.t_max),
             totals.rows,
-            f"{totals.rows} messages of writer {place[3]} are in no directory, so no reader finds "
+            f"{totals.rows} messages of writer {writer} are in no directory, so no reader finds "
             "them; --repair lists them",
             mended=self._repair,
         )
 
-    def _recount(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
+    def _report_count(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
+        """Report, and repair, counts of a closed bucket that differ from its rows."""
         directory, ttl = self._space.directory, table.metadata.ttl
         mended = self._repair and directory.put_recount(table.name, row, totals, ttl)
         length = table.metadata.bucket_ns
@@ -406,8 +449,8 @@ class _Check:
             row.node,
             (row.bucket * length, (row.bucket + 1) * length - 1),
             abs(row.rows - totals.rows),
-            f"the directory says {_show(row.rows, row.bytes, row.t_min, row.t_max)} of writer "
-            f"{row.writer}, and there are {_show(totals.rows, totals.bytes, *_ends(totals))}; "
+            f"the directory says {_counts(row.rows, row.bytes, row.t_min, row.t_max)} of writer "
+            f"{row.writer}, and there are {_counts(totals.rows, totals.bytes, *_ends(totals))}; "
             "--repair puts the directory right. Were there more, import or record them again",
             mended=mended,
         )
@@ -420,6 +463,7 @@ class _Check:
         for key in sorted(keys, key=lambda key: key.position):
             t, node = key.position.t, key.position.node
             missing[node] += node not in nodes
+            # As in ``_read``: what cannot be read is damage only if it is still there.
             try:
                 row = fetch_row(table, key.position)
                 if row is not None:
@@ -436,6 +480,7 @@ class _Check:
             self._note(DamageKind.UNLISTED, table, node, None, count, text, mended=self._repair)
 
     def _connections(self, table: TopicTable) -> None:
+        """Report connections to which messages refer, and which are missing."""
         for conn, count in sorted(self._conns.items()):
             try:
                 self._space.connections.get(table.name, conn)
@@ -443,6 +488,7 @@ class _Check:
                 self._note(DamageKind.CONNECTION, table, "", None, count, str(exc))
 
     def _orphans(self, table: TopicTable) -> None:
+        """Report chunks without a message, which a client left that died."""
         space = self._space
         until_us = old_us(space.cassandra)
         all_orphans = orphans(space.cassandra, space.name, table, until_us)
@@ -464,7 +510,12 @@ class _Check:
         )
 
     def definitions(self, md5sums: set[str], *, everything: bool) -> None:
-        """Compare the texts of the definitions with their checksums."""
+        """Compare the texts of the definitions with their checksums.
+
+        Args:
+            md5sums: Definitions of the tables that were read; only these are reported, unless
+                ``everything`` is set.
+        """
         for md5sum in self._space.registry.damaged_definitions():
             if everything or md5sum in md5sums:
                 topics = {t.metadata.topic for t in self.tables if t.metadata.md5sum == md5sum}
@@ -472,7 +523,7 @@ class _Check:
                     f"the definition with md5sum {md5sum} was changed by hand; import or record "
                     "again what uses it"
                 )
-                self._note_unread(DamageKind.DEFINITION, ", ".join(sorted(topics)), "", text)
+                self._note_general(DamageKind.DEFINITION, ", ".join(sorted(topics)), "", text)
 
     def leftovers(self) -> None:
         """Report entries of tables that do not exist, and tables whose comment is not readable."""
@@ -491,7 +542,7 @@ class _Check:
                     f"the comment of table {table} was changed by hand or by another program: put "
                     "it right to read its messages again"
                 )
-                self._note_unread(DamageKind.DEFINITION, "", table, text)
+                self._note_general(DamageKind.DEFINITION, "", table, text)
                 continue
             if self._repair:
                 space.delete_entries(table)
@@ -499,7 +550,7 @@ class _Check:
                 f"the directory knows a table {table} that was dropped: the "
                 "client that removed its topic died; --repair forgets it"
             )
-            self._note_unread(DamageKind.LEFTOVER, "", table, text, mended=self._repair)
+            self._note_general(DamageKind.LEFTOVER, "", table, text, mended=self._repair)
 
     def _note(
         self,
@@ -516,7 +567,7 @@ class _Check:
         damage = Damage(kind, topic, table.name, node, first, last, messages, text, mended)
         self.report.add(damage)
 
-    def _note_unread(
+    def _note_general(
         self, kind: DamageKind, topic: str, table: str, text: str, mended: bool = False
     ) -> None:
         """Add a damage that does not concern messages of one table."""
@@ -528,6 +579,7 @@ def _within(t: int, time_range: TimeRange) -> bool:
 
 
 def _entry(row: BucketRow) -> tuple[str, int, int]:
+    """Return the key of an entry of the directory in its table."""
     return row.node, row.bucket, row.writer
 
 
@@ -542,6 +594,7 @@ def _sign(row: BucketRow) -> tuple[int, bool, object]:
 
 
 def _agrees(row: BucketRow, totals: BucketTotals) -> bool:
+    """Return whether an entry of the directory has the counts of its rows."""
     if not (row.rows or totals.rows):
         return True
     counts, ends = (row.rows, row.bytes, row.t_min, row.t_max), _ends(totals)
@@ -553,5 +606,5 @@ def _ends(totals: BucketTotals) -> tuple[int, int]:
     return (totals.t_min, totals.t_max) if totals.rows else (0, 0)
 
 
-def _show(rows: int, size: int, first: int, last: int) -> str:
+def _counts(rows: int, size: int, first: int, last: int) -> str:
     return f"{rows} messages, {size} bytes" + (f" from {first} to {last}" if rows else "")

@@ -42,6 +42,10 @@ WRITERS_AT_ONCE = 16
 read several times."""
 
 
+_Reader = Callable[[], Iterator[StoredRow]]
+"""Reads some rows of an old table, with the nodeID that they have in the new one."""
+
+
 class TableCopy:
     """Copies rows with node, times, seq, connection, name, bytes, and remaining lifetime.
 
@@ -71,7 +75,10 @@ class TableCopy:
         self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
 
     def _newest_of_names(self) -> dict[tuple[str, str], tuple[int, int]]:
-        """Return where equal messages, which are stored once, came last, over several tables."""
+        """Return (node, name) → (time, seq) of equal messages, where they came last of all tables.
+
+        It is empty if the key format is not hash, or if there is only one old table.
+        """
         newest: dict[tuple[str, str], tuple[int, int]] = {}
         if self._new.metadata.key_format == "hash" and len(self._olds) > 1:
             for table in self._olds:
@@ -91,6 +98,7 @@ class TableCopy:
                 self._write(self._rows(self._olds, Read(whose=Whose(None, some))))
 
     def _writers(self) -> frozenset[int]:
+        """Return the writer ids of all rows of the old tables."""
         writers: set[int] = set()
         for table in self._olds:
             if table.named:
@@ -102,19 +110,20 @@ class TableCopy:
     def _fill_expiring(self, writers: frozenset[int]) -> None:
         """Write rows by remaining lifetime, which is set for all rows written from then on."""
         whose, ttl = Whose(None, writers), self._new.metadata.ttl
-        parts: dict[int, list[Callable[[], Iterator[StoredRow]]]] = {}
+        readers: dict[int, list[_Reader]] = {}
         for table in self._olds:
-            for lifetime, rows in self._expiring(table, whose):
+            for lifetime, read_rows in self._expiring(table, whose):
                 if lifetime:
-                    parts.setdefault(rounded(lifetime, ttl), []).append(rows)
-        for lifetime in sorted(parts):
+                    readers.setdefault(rounded(lifetime, ttl), []).append(read_rows)
+        for lifetime in sorted(readers):
             set_lifetime(self._space.schema, self._new.name, lifetime)
-            self._write(row for rows in parts[lifetime] for row in rows())
+            self._write(row for read_rows in readers[lifetime] for row in read_rows())
 
-    def _expiring(
-        self, table: TopicTable, whose: Whose
-    ) -> Iterator[tuple[int, Callable[[], Iterator[StoredRow]]]]:
-        """Yield parts of a table with the maximum remaining lifetime of their rows, s."""
+    def _expiring(self, table: TopicTable, whose: Whose) -> Iterator[tuple[int, _Reader]]:
+        """Yield the maximum remaining lifetime of some rows of a table, s, and their reader.
+
+        With a lifetime of 0 there are no rows any more.
+        """
         if table.named:
             by_left: dict[int, list[RowKey]] = {}
             for place, lifetime in left_by_name(table).items():
@@ -129,10 +138,11 @@ class TableCopy:
             places.add((row.node, row.bucket))
         for node, bucket in sorted(places):
             time_range = TimeRange(bucket * length, (bucket + 1) * length - 1)
-            rows = self._part(table, Read(time_range, Whose((node,), whose.writers)))
-            yield left_in_bucket(table, node, bucket), rows
+            reader = self._reading(table, Read(time_range, Whose((node,), whose.writers)))
+            yield left_in_bucket(table, node, bucket), reader
 
-    def _part(self, table: TopicTable, read: Read) -> Callable[[], Iterator[StoredRow]]:
+    def _reading(self, table: TopicTable, read: Read) -> _Reader:
+        """Return the reader of the rows of a read."""
         return lambda: map(self._with_robot, self._reader.read([table], read))
 
     def _with_robot(self, row: StoredRow) -> StoredRow:
@@ -155,10 +165,10 @@ class TableCopy:
         return heapq.merge(*streams, key=attrgetter("identity"))
 
     def _rows(self, tables: Sequence[TopicTable], read: Read = EVERYTHING) -> Iterator[StoredRow]:
-        """Yield the rows of tables in order, one of each place.
+        """Yield the rows of tables in order, one of each identity.
 
         Raises:
-            CorruptMessage: Two messages have the same place, which one table cannot hold.
+            CorruptMessage: Two messages have the same identity: one table cannot hold both.
         """
         last: StoredRow | None = None
         for row in self._in_order(tables, read):
@@ -171,7 +181,7 @@ class TableCopy:
                         f"number, in tables {last.table.name} and {row.table.name}: one table "
                         "cannot hold both. Remove one of them, and convert it again"
                     )
-                continue  # the same message in two formats
+                continue  # the same message in two tables, of two formats
             last = row
             yield row
 
@@ -214,35 +224,38 @@ class TableCopy:
             WriteFailed: They are not the same.
         """
         count = 0
-        ours = self._rows([self._new])
-        theirs = self._rows(self._olds)
-        mine, its = next(ours, None), next(theirs, None)
-        while mine is not None or its is not None:
-            if mine is not None and its is not None and mine.identity == its.identity:
-                self._check_equal(mine, its)
-                mine, its = next(ours, None), next(theirs, None)
+        new_rows = self._rows([self._new])
+        old_rows = self._rows(self._olds)
+        new, old = next(new_rows, None), next(old_rows, None)
+        while new is not None or old is not None:
+            if new is not None and old is not None and new.identity == old.identity:
+                self._check_equal(new, old)
+                new, old = next(new_rows, None), next(old_rows, None)
                 count += 1
                 self._tell.one()
-            elif its is not None and (mine is None or its.identity < mine.identity):
-                self._check_expired(its)
-                its = next(theirs, None)
-            elif mine is not None:
-                self._check_expired(mine)
-                mine = next(ours, None)
+            elif old is not None and (new is None or old.identity < new.identity):
+                self._check_expired(old)
+                old = next(old_rows, None)
+            elif new is not None:
+                self._check_expired(new)
+                new = next(new_rows, None)
         self._tell.end()
         return count
 
-    def _check_equal(self, mine: StoredRow, its: StoredRow) -> None:
-        same = (mine.received, mine.conn) == (its.received, its.conn)
-        if not same or mine.wire != its.wire:
+    def _check_equal(self, new: StoredRow, old: StoredRow) -> None:
+        same = (new.received, new.conn) == (old.received, old.conn)
+        if not same or new.wire != old.wire:
             raise WriteFailed(
-                f"the message of topic {its.topic} at {its.t} is not the same in the new table: "
+                f"the message of topic {old.topic} at {old.t} is not the same in the new table: "
                 "nothing was converted; that is a mistake of this program, please report it"
             )
 
     def _check_expired(self, row: StoredRow) -> None:
-        """Check that a row in one table only has expired in the other one meanwhile."""
-        # A row may stay a little longer in the new table than in the old ones.
+        """Check that a row that is only old, or only new, has expired in the old tables.
+
+        A row may stay a little longer in the new table than in the old ones.
+        """
+        # A new row is looked for in the old tables, also under the nodeID that it had there.
         tables, nodes = [row.table], [row.position.node]
         if row.table is self._new:
             tables = list(self._olds)
@@ -281,15 +294,16 @@ class TableCopy:
                 late = [RowKey(table, place) for place, us in written if us > since_us]
                 count += self._add(self._not_there(self._fetching(table, late)()))
                 continue
-            writers: dict[tuple[str, int], set[int]] = {}
+            by_bucket: dict[tuple[str, int], set[int]] = {}
             for entry in buckets_of(self._space.directory, table):
-                writers.setdefault((entry.node, entry.bucket), set()).add(entry.writer)
+                by_bucket.setdefault((entry.node, entry.bucket), set()).add(entry.writer)
             length = table.bucket_ns
-            for (node, bucket), some in sorted(writers.items()):
-                times = row_keys(table, node, bucket, frozenset(some))
+            for (node, bucket), ids in sorted(by_bucket.items()):
+                writers = frozenset(ids)
+                times = row_keys(table, node, bucket, writers)
                 keys = {key for key, us in times.items() if us > since_us}
                 low = bucket * length
-                read = Read(TimeRange(low, low + length - 1), Whose((node,), frozenset(some)))
+                read = Read(TimeRange(low, low + length - 1), Whose((node,), writers))
                 if keys:
                     count += self._add(r for r in self._missing([table], read) if _key(r) in keys)
         return count
@@ -304,13 +318,13 @@ class TableCopy:
 
     def _missing(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Return the rows of old tables in a bucket that are not in the new one."""
+        # Of all robots, because the rows may have another one there.
         every_robot = replace(read, whose=Whose(None, read.whose.writers))
-        places = {row.identity for row in self._rows([self._new], every_robot)}
-        return (row for row in self._rows(tables, read) if row.identity not in places)
+        present = {row.identity for row in self._rows([self._new], every_robot)}
+        return (row for row in self._rows(tables, read) if row.identity not in present)
 
-    def _fetching(
-        self, table: TopicTable, keys: Sequence[RowKey]
-    ) -> Callable[[], Iterator[StoredRow]]:
+    def _fetching(self, table: TopicTable, keys: Sequence[RowKey]) -> _Reader:
+        """Return the reader of the rows with some keys."""
         return lambda: (self._with_robot(StoredRow(row, table)) for row in fetch_rows(keys))
 
     def _add(self, late: Iterator[StoredRow]) -> int:
@@ -335,11 +349,13 @@ class _CopyProgress:
         self._done, self._total = 0, total
 
     def one(self) -> None:
+        """Count a message as written or compared."""
         self._done += 1
         if not self._done % TOLD:
             self._tell()
 
     def end(self) -> None:
+        """Tell that all is done; the total was an estimate."""
         self._total = self._done
         self._tell()
 
