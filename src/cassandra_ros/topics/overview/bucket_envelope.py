@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The envelope of a statement's columns in one part of a bucket.
+"""The envelope of a statement's columns in one piece: a bucket, or a part of a long one.
 
 For blocks of format ``packed`` the zones are enough, if a whole block is in one pixel and the
 condition contains only KEY, NODE and RUN. Blocks across the edge of a pixel are unpacked later. All
@@ -51,18 +51,18 @@ ZoneRead = Optional[Tuple[BucketRead, PagedRead]]
 """A read of zones that was sent; None = messages have to be read."""
 
 
-class EnvelopePart(NamedTuple):
-    """A part of a bucket that is read at once."""
+class BucketPiece(NamedTuple):
+    """A bucket, or a part of a long one, that is read at once."""
 
     table: TopicTable
     node: str
     bucket: int
     low: int
     high: int
-    """Last time of the part, included, ns."""
+    """First and last time of the piece, both included, ns."""
 
 
-class PartEnvelope:
+class PieceEnvelope:
     """The envelope of a piece as far as it was read.
 
     Attributes:
@@ -118,44 +118,48 @@ class PieceReader:
 
     Args:
         keyspace: Keyspace of the topic.
-        wanted: Columns and condition to read.
+        request: Columns and condition to read.
         watch: See Watch.
     """
 
     def __init__(self, keyspace: Keyspace, request: EnvelopeRequest, watch: Watch) -> None:
         self._rows = keyspace.rows
-        self._wanted, self._watch = request, watch
+        self._request, self._watch = request, watch
         self._select = request.selected
-        self._count = len(request.columns)
-        self._zoned: dict[str, _ZoneColumns | None] = {}
+        self._columns = len(request.columns)
+        self._zone_columns: dict[str, _ZoneColumns | None] = {}
+        """Table → how its zones are read; None = messages have to be read."""
 
-    def ask(self, piece: EnvelopePart) -> ZoneRead:
+    def ask(self, piece: BucketPiece) -> ZoneRead:
         """Request the zones of a piece's blocks, if they are enough."""
         name = piece.table.name
-        if name not in self._zoned:
-            self._zoned[name] = self._zones(piece.table)
-        zoned = self._zoned[name]
-        if zoned is None:
+        if name not in self._zone_columns:
+            self._zone_columns[name] = self._zones(piece.table)
+        zone_columns = self._zone_columns[name]
+        if zone_columns is None:
             return None
         blocks = self._blocks(piece)
-        return blocks, ask_bounds(blocks, zoned.names)
+        return blocks, ask_bounds(blocks, zone_columns.names)
 
-    def read(self, piece: EnvelopePart, shift: int, coming: ZoneRead) -> PartEnvelope:
+    def read(self, piece: BucketPiece, shift: int, coming: ZoneRead) -> PieceEnvelope:
         """Read a piece in pixels of 2 ** shift ns; coming: result of ``ask`` for the piece."""
-        envelope = PartEnvelope(Grid.over(piece.low, piece.high, shift), self._count)
+        envelope = PieceEnvelope(Grid.over(piece.low, piece.high, shift), self._columns)
         if coming is None:
             self._add_messages(piece, envelope.sure)
         else:
             self._add_bounds(piece, envelope, list(read_bounds(*coming)))
         return envelope
 
-    def refined(self, piece: EnvelopePart, earlier: PartEnvelope) -> PartEnvelope:
-        """Return the envelope of a piece after some more of its edges were unpacked."""
-        envelope = PartEnvelope(earlier.sure.grid, self._count)
+    def refined(self, piece: BucketPiece, earlier: PieceEnvelope) -> PieceEnvelope:
+        """Return the envelope of a piece after some more of its edges were unpacked.
+
+        ``earlier``, which may be cached, is not changed.
+        """
+        envelope = PieceEnvelope(earlier.sure.grid, self._columns)
         envelope.sure.merge(earlier.sure)
-        now, envelope.edges = earlier.edges[:EDGES_AT_ONCE], earlier.edges[EDGES_AT_ONCE:]
+        edges, envelope.edges = earlier.edges[:EDGES_AT_ONCE], earlier.edges[EDGES_AT_ONCE:]
         values = self._values(piece.table)
-        for block in messages_of(open_blocks(self._blocks(piece), now), [piece.table]):
+        for block in messages_of(open_blocks(self._blocks(piece), edges), [piece.table]):
             self._watch()
             values.add_block(block)
         _drain(values, envelope.sure)
@@ -163,25 +167,26 @@ class PieceReader:
             envelope.around.merge(earlier.around)
         return envelope
 
-    def _blocks(self, piece: EnvelopePart) -> BucketRead:
+    def _blocks(self, piece: BucketPiece) -> BucketRead:
+        """Return the read of the blocks of a piece."""
         ends = (piece.low, MIN_SEQ), (piece.high, MAX_SEQ)
-        writers = self._wanted.bounds.read.whose.writers
+        writers = self._request.bounds.read.whose.writers
         return BucketRead(piece.table, piece.node, piece.bucket, ends, writers=writers)
 
     def _zones(self, table: TopicTable) -> _ZoneColumns | None:
         """Return how the zones of all columns are read; None if messages have to be read."""
-        zone_columns = table.zone_map
-        if zone_columns is None or not self._wanted.bounds.whole:
+        zone_map = table.zone_map
+        if zone_map is None or not self._request.bounds.whole:
             return None
         names: list[str] = []
         converts: list[tuple[Convert, ArrayType] | None] = []
         projection = Projection.compile(self._select, table, Findings(self._select.text))
-        for column, group in zip(self._wanted.columns, group_types(projection, table)[1:]):
+        for column, group in zip(self._request.columns, group_types(projection, table)[1:]):
             if not group:
                 converts.append(None)
                 continue
             ref = _plain_field(column, table)
-            zone = None if ref is None else zone_columns.fields.get(ref.column)
+            zone = None if ref is None else zone_map.fields.get(ref.column)
             kind = group[0][1]
             convert = None if not (ref and zone) else compile_convert(ref, zone, kind, False)
             if zone is None or convert is None or zone.is_list:
@@ -191,18 +196,22 @@ class PieceReader:
         return _ZoneColumns(tuple(names), tuple(converts))
 
     def _add_bounds(
-        self, piece: EnvelopePart, envelope: PartEnvelope, blocks: Sequence[BlockZones]
+        self, piece: BucketPiece, envelope: PieceEnvelope, blocks: Sequence[BlockZones]
     ) -> None:
-        """Add blocks that are in one pixel, and note those that have to be unpacked."""
-        zoned = self._zoned[piece.table.name]
-        if zoned is None or not blocks:
+        """Add blocks by their zones, and note as edges those that have to be unpacked.
+
+        The zones of a block are enough if it lies in one pixel and in the piece, and if they are
+        exact and finite.
+        """
+        zone_columns = self._zone_columns[piece.table.name]
+        if zone_columns is None or not blocks:
             return
         ends = [(b.header.t, b.header.last, b.header.left, b.exact) for b in blocks]
         firsts, lasts, rows, exact = (np.array(column, np.int64) for column in zip(*ends))
         places = envelope.sure.grid.places
         sure = (exact > 0) & (places(firsts) == places(lasts))
         sure &= (firsts >= piece.low) & (lasts <= piece.high)
-        low, high = self._numbers(zoned, [block.values for block in blocks])
+        low, high = self._numbers(zone_columns, [block.values for block in blocks])
         # An infinite bound hides the finite one, which only the messages tell.
         sure &= ~(np.isinf(low) | np.isinf(high)).any(axis=0)
         low, high = finite(low), finite(high)
@@ -212,22 +221,27 @@ class PieceReader:
         envelope.around.add_wide(firsts[edge], lasts[edge], low[:, edge], high[:, edge])
 
     def _numbers(
-        self, zoned: _ZoneColumns, values: Sequence[Sequence[bytes | None]]
+        self, zone_columns: _ZoneColumns, values: Sequence[Sequence[bytes | None]]
     ) -> tuple[AnyArray, AnyArray]:
-        """Return the minimum and the maximum of each column: (columns, blocks) each."""
-        raws = iter(list(zip(*values)))
-        low, high = (np.full((self._count, len(values)), np.nan) for _ in range(2))
-        for n, convert in enumerate(zoned.converts):
+        """Return the minimum and the maximum of each column: (columns, blocks) each.
+
+        Args:
+            values: For each block the encoded values of ``zone_columns.names``.
+        """
+        encoded_columns = iter(list(zip(*values)))
+        low, high = (np.full((self._columns, len(values)), np.nan) for _ in range(2))
+        for n, convert in enumerate(zone_columns.converts):
             if convert is not None:
-                read, kind = convert
-                low[n] = as_floats(read(next(raws)), kind)
-                high[n] = as_floats(read(next(raws)), kind)
+                decode, kind = convert
+                low[n] = as_floats(decode(next(encoded_columns)), kind)
+                high[n] = as_floats(decode(next(encoded_columns)), kind)
         return low, high
 
     def _values(self, table: TopicTable) -> TableValues:
+        """Return an object that makes arrays of KEY and the columns, from messages of a table."""
         return TableValues(self._select, table, Findings(self._select.text))
 
-    def _add_messages(self, piece: EnvelopePart, envelope: Envelope) -> None:
+    def _add_messages(self, piece: BucketPiece, envelope: Envelope) -> None:
         """Read the messages of a piece, and make arrays of a limited number at a time."""
         values, count = self._values(piece.table), 0
         for number in self._take_messages(piece, values):
@@ -238,11 +252,15 @@ class PieceReader:
                 count = 0
         _drain(values, envelope)
 
-    def _take_messages(self, piece: EnvelopePart, values: TableValues) -> Iterator[int]:
-        """Pass messages to the makers of arrays; yield how many, each time."""
-        whose = Whose((piece.node,), self._wanted.bounds.read.whose.writers)
+    def _take_messages(self, piece: BucketPiece, values: TableValues) -> Iterator[int]:
+        """Pass the messages of a piece to ``values``; yield how many, each time.
+
+        Raises:
+            TopicNotFound: The table was replaced or dropped meanwhile.
+        """
+        whose = Whose((piece.node,), self._request.bounds.read.whose.writers)
         read = Read(TimeRange(piece.low, piece.high), whose)
-        table, bounds = piece.table, self._wanted.bounds
+        table, bounds = piece.table, self._request.bounds
         test = None
         if not bounds.whole:
             read = replace(read, chooser=Pushdown(self._select.condition, watch=self._watch))
@@ -265,7 +283,7 @@ class PieceReader:
             yield 1
 
 
-def _check_table(table: Table, piece: EnvelopePart) -> None:
+def _check_table(table: Table, piece: BucketPiece) -> None:
     """Raise TopicNotFound for messages of a table that has replaced the one to be read."""
     if table.name != piece.table.name:
         raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
@@ -285,6 +303,7 @@ def _plain_field(column: Column, table: TopicTable) -> FieldRef | None:
 def _drain(values: TableValues, envelope: Envelope) -> None:
     """Move the gathered values into an envelope."""
     values.flush()
+    # The first group is KEY. A group is empty if the table lacks the column.
     (key_name, key), *kinds = (next(iter(group), ("", _NOTHING)) for group in values.groups)
     times = values.pop_column(key_name, key).values
     numbers = np.full((len(kinds), len(times)), np.nan)

@@ -44,6 +44,7 @@ def content_version(
 
 
 def _facts(directory: Directory, tables: Sequence[TopicTable], read: Read) -> Iterator[str]:
+    """Yield texts of which one changes with each change of the messages, in a fixed order."""
     whose = read.whose
     for table in sorted(tables, key=lambda table: table.name):
         yield f"{table.metadata.topic} {table.name}"
@@ -60,13 +61,14 @@ def _bucket_facts(directory: Directory, table: TopicTable, read: Read) -> Iterat
     if table.metadata.own_time:
         ends = _ALL_BUCKETS  # the buckets of its rows say nothing about the receive times
     rows = buckets_of(directory, table, read.whose, ends)
-    moving = set()
+    uncounted = set()
     for row in rows:
         if row.closed and not table.metadata.ttl:
-            yield repr((row.node, row.bucket, row.writer, row.heartbeat, row[5:10]))
+            counts = row.counts[:5]  # without the number of odd messages
+            yield repr((row.node, row.bucket, row.writer, row.heartbeat, counts))
         else:
-            moving.add((row.node, row.bucket))
-    for node, bucket in sorted(moving):
+            uncounted.add((row.node, row.bucket))
+    for node, bucket in sorted(uncounted):
         recounts = recount(table, node, bucket)
         by_writer = sorted((writer, vars(counts)) for writer, counts in recounts.items())
         yield repr((node, bucket, by_writer))

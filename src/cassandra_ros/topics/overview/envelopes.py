@@ -19,9 +19,9 @@ from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.store.tables.directory import BucketRow
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.overview.bucket_envelope import (
-    EnvelopePart,
+    BucketPiece,
     EnvelopeRequest,
-    PartEnvelope,
+    PieceEnvelope,
     PieceReader,
     ZoneRead,
 )
@@ -34,12 +34,13 @@ only a small part of it."""
 ZONE_PIECES_AHEAD = 8
 """Number of pieces whose zones are requested at the same time."""
 CACHE_BYTES = 64 * 1024 * 1024
+"""Maximum size of a cache in memory, approximate bytes."""
 
 
 class EnvelopeCache:
     """Envelopes of pieces of closed buckets that were read before. Thread-safe.
 
-    If it is full, the parts that have not been used for the longest time are dropped.
+    If it is full, the pieces that have not been used for the longest time are dropped.
 
     Args:
         most_bytes: Maximum size in memory, approximate bytes.
@@ -47,34 +48,36 @@ class EnvelopeCache:
 
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
         self._most = most_bytes
-        self._parts: OrderedDict[object, tuple[PartEnvelope, int]] = OrderedDict()
+        self._entries: OrderedDict[object, tuple[PieceEnvelope, int]] = OrderedDict()
+        """Envelopes and their sizes, the one that was used last at the end."""
         self._bytes = 0
         self._lock = threading.Lock()
 
-    def get(self, key: object) -> PartEnvelope | None:
-        """Return a part, which must not be changed; None if it is not in the cache."""
+    def get(self, key: object) -> PieceEnvelope | None:
+        """Return an envelope, which must not be changed; None if it is not in the cache."""
         with self._lock:
-            entry = self._parts.get(key)
+            entry = self._entries.get(key)
             if entry is None:
                 return None
-            self._parts.move_to_end(key)
+            self._entries.move_to_end(key)
             return entry[0]
 
-    def put(self, key: object, envelope: PartEnvelope) -> None:
-        """Add a part."""
+    def put(self, key: object, envelope: PieceEnvelope) -> None:
+        """Add an envelope, or replace it; it must not be changed afterwards."""
         with self._lock:
-            earlier = self._parts.pop(key, None)
+            earlier = self._entries.pop(key, None)
             self._bytes -= earlier[1] if earlier else 0
-            self._parts[key] = envelope, envelope.nbytes
+            self._entries[key] = envelope, envelope.nbytes
             self._bytes += envelope.nbytes
             while self._bytes > self._most:
-                self._bytes -= self._parts.popitem(last=False)[1][1]
+                _, (_, nbytes) = self._entries.popitem(last=False)
+                self._bytes -= nbytes
 
 
-class _Listed(NamedTuple):
-    """A piece, and its entries in the directory."""
+class _PieceEntry(NamedTuple):
+    """A piece, and what the directory says of it."""
 
-    piece: EnvelopePart
+    piece: BucketPiece
     rows: float
     """Approximate number of messages in the piece."""
     state: tuple[object, ...] | None
@@ -99,7 +102,7 @@ class EnvelopeReader:
     Args:
         keyspace: Keyspace of the topic.
         tables: Tables of the topic, none of them with names as keys.
-        wanted: Columns and condition to read.
+        request: Columns and condition to read.
         cache: Cache to use; None = nothing is cached.
         watch: See Watch.
     """
@@ -117,7 +120,7 @@ class EnvelopeReader:
         self._columns = len(request.columns)
         self._cache, self._watch = cache, watch
         self._pieces = PieceReader(keyspace, request, watch)
-        self._asked = request.key
+        self._request_key = request.key
 
     def read(self, grid: Grid, seconds: float | None = None) -> Envelopes:
         """Read the envelope of the messages in a grid.
@@ -127,27 +130,33 @@ class EnvelopeReader:
                 more piece. Buckets that are being written are read last, all together. None = read
                 everything.
         """
-        ends = None if seconds is None else time.monotonic() + seconds
+        deadline = None if seconds is None else time.monotonic() + seconds
         entries = list(self._list(grid))
         entries = [entries[n] for n in spread(len(entries))]
-        envelopes = {n: e for n, p in enumerate(entries) if (e := self._get_cached(p, grid))}
+        envelopes: dict[int, PieceEnvelope] = {}
+        for n, entry in enumerate(entries):
+            cached_envelope = self._get_cached(entry, grid)
+            if cached_envelope is not None:
+                envelopes[n] = cached_envelope
         rest = [n for n in range(len(entries)) if n not in envelopes]
-        cached = [n for n in rest if self._keeps(entries[n])]
-        fresh = False
-        for n, envelope in self._new(entries, cached, grid):
-            envelopes[n], fresh = envelope, True
-            if _is_over(ends):
+        cacheable = [n for n in rest if self._keeps(entries[n])]
+        has_read = False  # in each call something is read, however little time there is
+        for n, envelope in self._new(entries, cacheable, grid):
+            envelopes[n], has_read = envelope, True
+            if _is_over(deadline):
                 break
         for n in list(envelopes):
-            while envelopes[n].edges and not (fresh and _is_over(ends)):
-                envelopes[n], fresh = self._refine(entries[n], grid, envelopes[n]), True
-        is_done = len(envelopes) == len(entries) - len(rest) + len(cached)
-        if is_done and not (fresh and _is_over(ends) and any(p.edges for p in envelopes.values())):
+            while envelopes[n].edges and not (has_read and _is_over(deadline)):
+                envelopes[n], has_read = self._refine(entries[n], grid, envelopes[n]), True
+        has_all = len(envelopes) == len(entries) - len(rest) + len(cacheable)
+        has_edges = any(envelope.edges for envelope in envelopes.values())
+        if has_all and not (has_read and _is_over(deadline) and has_edges):
             # These pieces are not cached: a read that began with them would never get further.
             envelopes.update(self._at_once(entries, [n for n in rest if n not in envelopes], grid))
         return self._join(grid, entries, envelopes)
 
-    def _list(self, grid: Grid) -> Iterator[_Listed]:
+    def _list(self, grid: Grid) -> Iterator[_PieceEntry]:
+        """Yield the pieces with messages in the grid that the condition may take."""
         bounds = self._bounds
         low, high = bounds.read.time_range
         low, high = max(grid.low, low), min(grid.high, high)
@@ -164,7 +173,7 @@ class EnvelopeReader:
 
     def _tiles(
         self, table: TopicTable, node: str, bucket: int, writers: Sequence[BucketRow], grid: Grid
-    ) -> Iterator[_Listed]:
+    ) -> Iterator[_PieceEntry]:
         """Yield a bucket, or the pieces of a long one that meet the grid.
 
         A piece is not cut at the ends of the grid, because a view moved a little needs the whole
@@ -185,32 +194,37 @@ class EnvelopeReader:
             share = rows * (high - low) / length
             begins, ends = max(low, first_ns), min(high - 1, last_ns)
             if begins <= ends and any(_reaches(row, begins, ends) for row in writers):
-                # One that is cut by the condition is not kept: the cut may move with now().
-                entry_state = state if (begins, ends) == (low, high - 1) else None
-                yield _Listed(EnvelopePart(table, node, bucket, begins, ends), share, entry_state)
+                # One that is cut by the condition is not cached: the cut may move with now().
+                piece = BucketPiece(table, node, bucket, begins, ends)
+                is_whole = (begins, ends) == (low, high - 1)
+                yield _PieceEntry(piece, share, state if is_whole else None)
 
-    def _key(self, entry: _Listed, grid: Grid) -> object:
+    def _key(self, entry: _PieceEntry, grid: Grid) -> object:
         piece = entry.piece
         where = self._keyspace.name, piece.table.name, *piece[1:], entry.state
-        return self._asked, grid.shift, where
+        return self._request_key, grid.shift, where
 
-    def _keeps(self, entry: _Listed) -> bool:
+    def _keeps(self, entry: _PieceEntry) -> bool:
         """Return whether the envelope of a piece is cached for the next time."""
         return self._cache is not None and entry.state is not None
 
-    def _get_cached(self, entry: _Listed, grid: Grid) -> PartEnvelope | None:
+    def _get_cached(self, entry: _PieceEntry, grid: Grid) -> PieceEnvelope | None:
         if self._cache is None or not self._keeps(entry):
             return None
         return self._cache.get(self._key(entry, grid))
 
-    def _keep(self, entry: _Listed, grid: Grid, envelope: PartEnvelope) -> None:
+    def _keep(self, entry: _PieceEntry, grid: Grid, envelope: PieceEnvelope) -> None:
         if self._cache is not None and self._keeps(entry):
             self._cache.put(self._key(entry, grid), envelope)
 
     def _new(
-        self, entries: Sequence[_Listed], places: Sequence[int], grid: Grid
-    ) -> Iterator[tuple[int, PartEnvelope]]:
-        """Read pieces that are not in the cache; the zones of some are requested ahead."""
+        self, entries: Sequence[_PieceEntry], places: Sequence[int], grid: Grid
+    ) -> Iterator[tuple[int, PieceEnvelope]]:
+        """Read pieces that are not in the cache; the zones of some are requested ahead.
+
+        Yields:
+            Number of the piece in ``entries``, and its envelope.
+        """
         coming: deque[tuple[int, ZoneRead]] = deque()
         rest = iter(places)
         while True:
@@ -226,14 +240,15 @@ class EnvelopeReader:
             self._keep(entries[n], grid, envelope)
             yield n, envelope
 
-    def _refine(self, entry: _Listed, grid: Grid, earlier: PartEnvelope) -> PartEnvelope:
+    def _refine(self, entry: _PieceEntry, grid: Grid, earlier: PieceEnvelope) -> PieceEnvelope:
+        """Unpack some more edges of a piece, and cache the new envelope."""
         envelope = self._pieces.refined(entry.piece, earlier)
         self._keep(entry, grid, envelope)
         return envelope
 
     def _at_once(
-        self, entries: Sequence[_Listed], places: Sequence[int], grid: Grid
-    ) -> Iterator[tuple[int, PartEnvelope]]:
+        self, entries: Sequence[_PieceEntry], places: Sequence[int], grid: Grid
+    ) -> Iterator[tuple[int, PieceEnvelope]]:
         """Read pieces in full, without a time limit."""
         for n, envelope in self._new(entries, places, grid):
             while envelope.edges:
@@ -241,17 +256,20 @@ class EnvelopeReader:
             yield n, envelope
 
     def _join(
-        self, grid: Grid, entries: Sequence[_Listed], envelopes: dict[int, PartEnvelope]
+        self, grid: Grid, entries: Sequence[_PieceEntry], envelopes: dict[int, PieceEnvelope]
     ) -> Envelopes:
-        envelope, read, edges = Envelope(grid, self._columns), 0.0, 0
-        for n, part_envelope in envelopes.items():
-            envelope.merge(part_envelope.sure)
-            if part_envelope.edges:
-                envelope.merge(part_envelope.around)
-                edges += len(part_envelope.edges)
-            read += entries[n].rows + 1
-        count = sum(entry.rows + 1 for entry in entries)
-        share = 1.0 if len(envelopes) == len(entries) else min(read / count, 0.999)
+        """Return the envelope of all pieces that were read, by their numbers in ``entries``."""
+        envelope, edges = Envelope(grid, self._columns), 0
+        # Each piece counts as one message more: of some the directory knows no number.
+        read_rows = 0.0
+        for n, piece_envelope in envelopes.items():
+            envelope.merge(piece_envelope.sure)
+            if piece_envelope.edges:
+                envelope.merge(piece_envelope.around)
+                edges += len(piece_envelope.edges)
+            read_rows += entries[n].rows + 1
+        all_rows = sum(entry.rows + 1 for entry in entries)
+        share = 1.0 if len(envelopes) == len(entries) else min(read_rows / all_rows, 0.999)
         return Envelopes(envelope, share, edges)
 
 
@@ -264,8 +282,8 @@ def _reaches(row: BucketRow, low: int, high: int) -> bool:
     return not row.closed or bool(row.rows and row.t_min <= high and row.t_max >= low)
 
 
-def _is_over(ends: float | None) -> bool:
-    return ends is not None and time.monotonic() >= ends
+def _is_over(deadline: float | None) -> bool:
+    return deadline is not None and time.monotonic() >= deadline
 
 
 def spread(count: int) -> Sequence[int]:

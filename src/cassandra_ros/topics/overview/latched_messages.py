@@ -187,7 +187,11 @@ class LatchedFinder:
         return self.of_sources(self.sources(t, to), t) if self.latches and t > 0 else []
 
     def of_sources(self, sources: frozenset[Source], t: int, since: int = 0) -> list[StoredRow]:
-        """Return the last latched message in [since, t) of each publisher of some runs."""
+        """Return the last latched message in [since, t) of each publisher of some runs.
+
+        They are in the order of their receive times, and satisfy the condition of their topic: if
+        the last one does not, an earlier one is returned.
+        """
         tables = [table for table in self._tables if table.name in self._latched_connections]
         rows = [row for table in tables for row in self._last(table, t, since, sources)]
         return sorted(rows, key=lambda row: row.arrival)
@@ -224,6 +228,7 @@ class LatchedFinder:
     def _last(
         self, table: TopicTable, t: int, since: int, sources: frozenset[Source]
     ) -> Iterable[StoredRow]:
+        """Return the rows of of_sources of one table, in any order."""
         if table.named or table.metadata.own_time:
             return self._last_of_all(table, t, since, sources)
         return self._last_by_time(table, t, since, sources)
@@ -232,18 +237,20 @@ class LatchedFinder:
         self, table: TopicTable, t: int, since: int, sources: frozenset[Source]
     ) -> Iterator[StoredRow]:
         """Yield rows from newest to oldest until each latched connection of each run has one."""
-        # Only buckets that a run of the range has written to.
         length, conns = table.metadata.bucket_ns, self._latched_connections[table.name]
         robots = tuple({node for node, _ in sources})
         buckets = self._keyspace.directory.buckets(
             table.name, table.metadata, since // length, (t - 1) // length, robots
         )
-        there = [row for row in buckets if (row.node, row.writer) in sources]
-        if not there:
+        # Only buckets that a run of the range has written to.
+        entries = [row for row in buckets if (row.node, row.writer) in sources]
+        if not entries:
             return
-        missing = {((row.node, row.writer), conn) for row in there for conn in conns}
-        time_range = TimeRange(max(since, min(row.bucket for row in there) * length), t - 1)
-        whose = Whose(tuple({row.node for row in there}), frozenset(row.writer for row in there))
+        missing = {((row.node, row.writer), conn) for row in entries for conn in conns}
+        time_range = TimeRange(max(since, min(row.bucket for row in entries) * length), t - 1)
+        whose = Whose(
+            tuple({row.node for row in entries}), frozenset(row.writer for row in entries)
+        )
         back = Read(time_range, whose, reverse=True, wanted=len(missing))
         for row in self._rows(table, back):
             publisher = publisher_of(row)
@@ -256,14 +263,17 @@ class LatchedFinder:
     def _last_of_all(
         self, table: TopicTable, t: int, since: int, sources: frozenset[Source]
     ) -> Iterator[StoredRow]:
-        """Search all rows of a topic whose key is not the receive time."""
+        """Return the rows of of_sources of a table whose key is not the receive time.
+
+        All of its rows are read, because they are not in the order of receive times.
+        """
         last: dict[Publisher, StoredRow] = {}
         conns = self._latched_connections[table.name]
         for row in self._rows(table, Read(whose=self._whose)):
             source, conn = publisher = publisher_of(row)
-            # Equal messages of key format hash are one row, which has no writer.
             if not since <= row.received < t or conn not in conns:
                 continue
+            # A row without a writer id is taken in any case: equal messages may share it.
             if source[1] and source not in sources:
                 continue
             earlier = last.get(publisher)
@@ -277,11 +287,12 @@ class LatchedFinder:
         return self._keyspace.rows.read([table], replace(read, columns=columns))
 
     def _passes(self, row: StoredRow) -> bool:
+        """Return whether a message satisfies the condition of its topic."""
         test = self._tests.get(row.topic)
         return test is None or test(row)
 
 
-_Found = TypeVar("_Found", bound=LatchedRow)
+_RowT = TypeVar("_RowT", bound=LatchedRow)
 
 
 class LatchedRecord:
@@ -289,14 +300,16 @@ class LatchedRecord:
 
     def __init__(self) -> None:
         self._last: dict[tuple[str, Publisher], tuple[int, str, int, str]] = {}
+        """Table and publisher → arrival of its message that was given last."""
         self._looked: dict[Source, int] = {}
         """For each robot and writer the time up to which latched messages were searched for, ns."""
 
-    def changes(self, finder: Latched[_Found], low: int, high: int) -> list[_Found]:
+    def changes(self, finder: Latched[_RowT], low: int, high: int) -> list[_RowT]:
         """Return the messages latched before ``low`` and not given yet; record them as given."""
         if not finder.latches:
             return []
         sources = finder.sources(low, high)
+        # A run that was not met before is searched from the beginning.
         since = min((self._looked.get(source, 0) for source in sources), default=low)
         rows = [row for row in finder.of_sources(sources, low, since) if self._is_new(row)]
         for row in rows:
@@ -305,6 +318,7 @@ class LatchedRecord:
         return rows
 
     def _is_new(self, row: LatchedRow) -> bool:
+        """Return whether no message of this publisher that came as late was given yet."""
         last = self._last.get((row.table.name, publisher_of(row)))
         return last is None or last < row.arrival
 

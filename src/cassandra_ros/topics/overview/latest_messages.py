@@ -66,6 +66,7 @@ class Latest:
         return sorted(latest.values(), key=lambda row: row.position)
 
     def _last(self, t: int, since: int) -> Iterator[StoredRow]:
+        """Yield the last messages of each topic, without regard to latched connections."""
         for tables in self._by_topic.values():
             timed = [table for table in tables if not table.named]
             manual = [table for table in tables if table.metadata.key_format == "manual"]
@@ -75,6 +76,7 @@ class Latest:
                 yield from self._newest_of_names(manual, t)
 
     def _last_by_time(self, tables: Sequence[TopicTable], t: int, since: int) -> list[StoredRow]:
+        """Return a topic's last message in [since, t], or its transforms of the last second."""
         rows = self._keyspace.rows
         if any(table.msg_type in TRANSFORM_TYPES for table in tables):
             steady = TimeRange(max(since, t - TRANSFORMS_NS), t)
@@ -88,6 +90,7 @@ class Latest:
         return [row for row in near if row.t >= since]
 
     def _newest_of_names(self, tables: Sequence[TopicTable], t: int) -> Sequence[StoredRow]:
+        """Return for each node and name the last row up to t, else the first one after t."""
         nodes = self._whose.nodes
         whose = Whose(None if nodes is None else (*nodes, ""))
         read = Read(whose=whose, columns=lambda table: ())

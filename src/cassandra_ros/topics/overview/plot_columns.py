@@ -62,8 +62,8 @@ def drawn_columns(select: Select, tables: Sequence[Table]) -> PlotColumns:
     """
     columns: list[Column] = []
     left_out: list[OmittedColumn] = []
-    for name, sources in _columns(select, tables).items():
-        output, kind, table, selected = sources
+    for name, source in _columns(select, tables).items():
+        output, kind, table, selected = source
         reason = _reason(kind)
         if reason:
             left_out.append(OmittedColumn(name, reason))
@@ -76,12 +76,13 @@ def drawn_columns(select: Select, tables: Sequence[Table]) -> PlotColumns:
     return PlotColumns(tuple(columns), tuple(left_out))
 
 
-_Found = Tuple[ResultColumn, ArrayType, Table, Optional[Selected]]
+_ColumnSource = Tuple[ResultColumn, ArrayType, Table, Optional[Selected]]
+"""A column in a table, its type there, the table, and its item in the statement (None = ``*``)."""
 
 
-def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
+def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _ColumnSource]:
     """Return each column by its name, as it is in the first table that has it."""
-    columns: dict[str, _Found] = {}
+    columns: dict[str, _ColumnSource] = {}
     projections = Projections(replace(select, hidden=()), tables)
     # In the order of the selection, because a table may have fields that others lack.
     for n, selected in enumerate(select.visible):

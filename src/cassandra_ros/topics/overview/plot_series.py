@@ -41,12 +41,14 @@ from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
 
 PIXELS = 1000
+"""Number of pixels of a plot if none is requested."""
 MOST_PIXELS = 20_000
 MAX_PLOT_ROWS = 2_000_000
 """Maximum number of result rows for a plot that needs all of them."""
 NEAR_KEPT_SEC = 60
 """How long cached conditions on places stay valid, s. Later poses may change them."""
 _CHUNK_ROWS = 4096
+"""Number of result rows that are made into arrays together."""
 _NO_TIME = "of messages that lie under names, not at a time"
 """Reason for which columns of a topic whose messages have names are not drawn."""
 
@@ -126,6 +128,9 @@ def read_series(
 
     If the rows have no time over which to draw them, all columns are in ``left_out``.
 
+    Args:
+        asker: Restrictions and cache.
+
     Raises:
         InvalidQuery: The statement names a field that the topic does not have.
     """
@@ -172,6 +177,7 @@ def _key(select: Select, bounds: Bounds, plot: PlotColumns, near: bool) -> str:
 
 
 def _nothing(topic: Source[Row], plot: PlotColumns) -> Series:
+    """Return the series of a plot without points."""
     grid = Grid(0, 0, 1)
     return Series(topic.name, *plot, grid, Envelope(grid, len(plot.columns)).points())
 
@@ -197,6 +203,7 @@ def _extent(topic: CassandraTopic, bounds: Bounds, window: PlotWindow) -> tuple[
 
 
 def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> int | None:
+    """Return the time of the first (reverse: last) message within bounds, ns; None without one."""
     read = replace(bounds.read, reverse=reverse, columns=lambda table: (), wanted=1)
     return next((row.t for row in topic.read(read)), None)
 
@@ -219,20 +226,26 @@ def read_rows_series(
 def _of_rows(
     topic: Source[Row], select: Select, plot: PlotColumns, window: PlotWindow, asker: SeriesRequest
 ) -> Series:
-    """Draw the rows of a result, which are all made."""
+    """Return the series of a statement of which all result rows are made.
+
+    They are drawn over the first column that is a time: KEY, which is added if rows are messages,
+    or a selected one.
+    """
     if select.columns is not None and not (select.aggregates or select.group or select.distinct):
         select = replace(select, columns=(Selected(KeyOperand(0)), *select.columns))
     kinds = column_types(select, topic.tables)
-    over = next((n for n, (_, k) in enumerate(kinds) if k.kind == "time" and not k.depth), None)
-    if over is None:
+    time_column = next(
+        (n for n, (_, k) in enumerate(kinds) if k.kind == "time" and not k.depth), None
+    )
+    if time_column is None:
         reason = "in rows without a time to draw it over: group by time(1m), and select that, too"
         return _nothing(topic, _without(plot, reason))
-    name = kinds[over][0]
-    plot = plot._replace(left_out=tuple(u for u in plot.left_out if u.name != name))
+    name = kinds[time_column][0]
+    plot = plot._replace(left_out=tuple(c for c in plot.left_out if c.name != name))
     places = [[name for name, _ in kinds].index(column.name) for column in plot.columns]
     query = QueryResult(select, topic, asker.whose, watch=asker.watch)
     with query as result:
-        times, numbers = _arrays(select, result, over, places)
+        times, numbers = _arrays(select, result, time_column, places)
     low = times.min(initial=2**63 - 1) if window.low is None else window.low
     high = times.max(initial=-1) if window.high is None else window.high
     if low > high:
@@ -244,9 +257,17 @@ def _of_rows(
 
 
 def _arrays(
-    select: Select, rows: Iterator[ResultRow], over: int, places: Sequence[int]
+    select: Select, rows: Iterator[ResultRow], time_column: int, places: Sequence[int]
 ) -> tuple[AnyArray, AnyArray]:
-    """Return times and numbers of rows; rows without a time are left out."""
+    """Return times, ns, and numbers (columns, rows) of rows; rows without a time are left out.
+
+    Args:
+        time_column: Index of the column with the time.
+        places: Indexes of the columns with the numbers.
+
+    Raises:
+        InvalidQuery: There are more than MAX_PLOT_ROWS rows.
+    """
     times: list[AnyArray] = [np.zeros(0, np.int64)]
     numbers: list[AnyArray] = [np.zeros((len(places), 0))]
     count = 0
@@ -258,7 +279,7 @@ def _arrays(
         if count > MAX_PLOT_ROWS:
             reason = f"more than {MAX_PLOT_ROWS} rows are too many to draw; group by a longer time"
             raise InvalidQuery(select.text, 0, reason)
-        timed = [row for row in chunk if hasattr(row[over], "to_nsec")]
-        times.append(np.array([row[over].to_nsec() for row in timed], np.int64))
+        timed = [row for row in chunk if hasattr(row[time_column], "to_nsec")]
+        times.append(np.array([row[time_column].to_nsec() for row in timed], np.int64))
         values = [[as_float(row[place]) for row in timed] for place in places]
         numbers.append(np.array(values, np.float64).reshape(len(places), len(timed)))

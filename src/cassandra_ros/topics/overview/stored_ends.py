@@ -16,8 +16,8 @@ Ends = Tuple[int, int]
 """Times of the first and the last message, ns."""
 _DAY_NS = 86_400 * 10**9
 _FAR_NS = 365 * _DAY_NS
-"""Distance from what is stored above which a limit that limits nothing is far, ns. One that leaves
-out everything is far from a day on."""
+"""Distance from what is stored above which a limit that leaves out nothing is told, ns. One that
+leaves out everything is told from a day on."""
 
 
 def stored_ends(catalog: Catalog) -> Ends | None:
@@ -25,9 +25,9 @@ def stored_ends(catalog: Catalog) -> Ends | None:
     return DirectoryReader(catalog.keyspace.directory).extent(catalog.tables(None), EVERYBODY)
 
 
-def widest(every: Iterable[Ends | None]) -> Ends | None:
+def widest(all_ends: Iterable[Ends | None]) -> Ends | None:
     """Return the ends of several keyspaces together; None = no message."""
-    times = [time for ends in every if ends is not None for time in ends]
+    times = [time for ends in all_ends if ends is not None for time in ends]
     return (min(times), max(times)) if times else None
 
 

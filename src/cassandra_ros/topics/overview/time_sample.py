@@ -123,7 +123,7 @@ def _apart(rows: Iterable[StoredRow], every_ns: int) -> Iterator[StoredRow]:
 
 
 def _share(rows: Iterable[StoredRow], total: int, count: int) -> Iterator[StoredRow]:
-    """Yield about ``count`` rows of ``total``, evenly spaced by their numbers."""
+    """Yield ``count`` of ``total`` rows, evenly spaced by their numbers; all if there are fewer."""
     last = -1
     for number, row in enumerate(rows):
         if number * count // total != last:
@@ -142,6 +142,7 @@ def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:
 def _look_up(
     topic: CassandraTopic, choice: MessageChoice, times: Sequence[int]
 ) -> Iterator[StoredRow]:
+    """Yield the nearest row for each of some times, ns, by a look-up for each."""
     for t in times:
         row = topic.getRow(
             Stamp.from_ns(t), nearest="either", nodeID=choice.node, run=choice.writers
@@ -173,6 +174,7 @@ def nearest_rows(rows: Iterable[StoredRow], times: Sequence[int]) -> Iterator[St
 
 
 def _once(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
+    """Yield rows without those that are the same message as the one before."""
     before = None
     for row in rows:
         if row.identity != before:

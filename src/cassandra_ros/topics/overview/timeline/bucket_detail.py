@@ -56,26 +56,30 @@ class _Budget:
 def refined(
     pieces: Sequence[RangeCounts], scale: Scale, whose: Whose, gone: threading.Event
 ) -> list[RangeCounts]:
-    """Return pieces in more detail, where buckets cover several cells or have no counts.
+    """Return pieces in more detail, where buckets cover several cells or have no final counts.
 
     Args:
+        pieces: Counts of tables and robots; there are as many, in the same order, in the result.
+        whose: Robots and writers whose messages count.
         gone: If it is set, no more keys are read.
     """
     detailed, budget = list(pieces), _Budget()
     coarse = [_coarse(piece, scale) for piece in pieces]
-    costs = [
-        float(
-            (piece.time_ranges.messages * piece.time_ranges.shares(scale.start, scale.end))[c].sum()
-        )
-        for piece, c in zip(pieces, coarse)
-    ]
+    costs = [_cost(piece, mask, scale) for piece, mask in zip(pieces, coarse)]
     for number in sorted(range(len(detailed)), key=costs.__getitem__):
         if gone.is_set():
             break
-        if coarse[number].any() and not (detailed[number].sampled):
+        if coarse[number].any() and not detailed[number].sampled:
             better = _better(detailed[number], coarse[number], costs[number], scale, whose, budget)
             detailed[number] = better or detailed[number]
     return detailed
+
+
+def _cost(piece: RangeCounts, coarse: Bools, scale: Scale) -> float:
+    """Return the approximate number of messages to read for the coarse time ranges of a piece."""
+    ranges = piece.time_ranges
+    messages = ranges.messages * ranges.shares(scale.start, scale.end)
+    return float(messages[coarse].sum())
 
 
 def _coarse(piece: RangeCounts, scale: Scale) -> Bools:
@@ -91,10 +95,14 @@ def _coarse(piece: RangeCounts, scale: Scale) -> Bools:
 def _better(
     piece: RangeCounts, coarse: Bools, cost: float, scale: Scale, whose: Whose, budget: _Budget
 ) -> RangeCounts | None:
-    """Return a piece with its buckets read in detail; None if that would be too much to read."""
+    """Return a piece with its coarse buckets read in detail; None if that is too much to read.
+
+    Args:
+        cost: Approximate number of their messages.
+    """
     buckets = np.unique(piece.buckets[coarse])
-    keep = ~np.isin(piece.buckets, buckets)
-    rest = piece._replace(time_ranges=piece.time_ranges.where(keep), buckets=piece.buckets[keep])
+    stays = ~np.isin(piece.buckets, buckets)
+    rest = piece._replace(time_ranges=piece.time_ranges.where(stays), buckets=piece.buckets[stays])
     if cost <= budget.keys:
         keys = _keys(piece, buckets, scale, whose, budget)
         return None if keys is None else rest._replace(keys=MessageKeys.joined([piece.keys, keys]))
@@ -112,28 +120,32 @@ def _better(
 def _keys(
     piece: RangeCounts, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
 ) -> MessageKeys | None:
+    """Return the messages of some buckets in the picture; None = more than the budget permits."""
     rows: list[tuple[int, int, int]] = []
     for bucket in map(int, buckets):
         scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
-        some = [(t, seq, size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
+        keys = [(t, seq, size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
         # The bucket may have more messages than the directory says.
-        if not budget.take_keys(len(some)):
+        if not budget.take_keys(len(keys)):
             return None
-        rows += [row for row in some if whose.wrote(row[1])]
+        rows += [(t, seq, size) for t, seq, size in keys if whose.wrote(seq)]
     return MessageKeys(*np.array(rows, np.int64).reshape(-1, 3).T)
 
 
 def _blocks(
     piece: RangeCounts, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
 ) -> tuple[TimeRanges, Longs] | None:
+    """Return the blocks of some buckets as time ranges, with their buckets; None as ``_keys``."""
     rows: list[tuple[int, ...]] = []
     for bucket in map(int, buckets):
         read = headers(piece.table, piece.node, bucket, scale.start, scale.end, whose.writers)
-        some = list(islice(read, budget.blocks + 1))
-        if not budget.take_blocks(len(some)):
+        block_rows = list(islice(read, budget.blocks + 1))
+        if not budget.take_blocks(len(block_rows)):
             return None
         rows += [
-            (r.t, r.last, r.left, r.size, r.writer, not len(r.gone), bucket) for r in some if r.left
+            (block.t, block.last, block.left, block.size, block.writer, not len(block.gone), bucket)
+            for block in block_rows
+            if block.left
         ]
     columns = np.array(rows, np.int64).reshape(-1, 7).T
     first, last, messages, size, writer, sure, of_buckets = columns

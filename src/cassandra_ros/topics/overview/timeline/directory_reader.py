@@ -60,7 +60,10 @@ SlotPart = Tuple[TopicTable, SlotKey, Ends]
 
 
 class _CachedRows(NamedTuple):
+    """The rows of a partition that were read."""
+
     until: float
+    """Monotonic time until which they are used, s."""
     ends: Ends
     """The requested buckets."""
     columns: BucketColumns
@@ -79,9 +82,12 @@ class DirectoryReader:
     def __init__(self, directory: Directory, clock: Callable[[], float] = time.monotonic) -> None:
         self._directory = directory
         self._clock = clock
-        self._kept: OrderedDict[SlotKey, _CachedRows] = OrderedDict()
+        self._rows: OrderedDict[SlotKey, _CachedRows] = OrderedDict()
+        """Cached rows, the oldest first."""
         self._slots: dict[str, tuple[float, Listed]] = {}
+        """Table → monotonic time until which its slots are used, s, and the slots."""
         self._size = 0
+        """Number of the cached rows of all partitions."""
         self._mutex = threading.Lock()
 
     def slots(self, tables: Sequence[TopicTable]) -> dict[str, Listed]:
@@ -102,7 +108,8 @@ class DirectoryReader:
     def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Ends | None:
         """Return the first and the last time of messages in some tables; None without messages.
 
-        For single writers the times come from ``pieces``.
+        Tables whose messages have names are left out. For single writers the times come from
+        ``pieces``, and are estimates if there are more buckets than it reads.
         """
         if whose.writers is not None:
             whole = self.extent(tables, whose._replace(writers=None))
@@ -184,13 +191,18 @@ class DirectoryReader:
                     yield table, (table.name, node, slot), inside
 
     def _columns(self, parts: Sequence[SlotPart], limit: int) -> list[tuple[BucketColumns, int]]:
-        """Return the buckets of partitions, and the number of buckets for which each one stands."""
+        """Return the buckets of partitions, and the number of buckets for which each one stands.
+
+        They come from the cache; else all buckets of a partition are read or, if it has more than
+        ``limit``, a sample of them. There is one result for each partition, in their order.
+        """
         until, recounts_left = self._clock() + KEEP_SEC, MAX_RECOUNTS
         tables = {place: table for table, place, _ in parts}
         columns_of_slots = {place: self._get(place, ends, limit) for _, place, ends in parts}
         missing = [(place, ends) for _, place, ends in parts if columns_of_slots[place] is None]
 
         def keep(place: SlotKey, ends: Ends, columns: BucketColumns, stride: int) -> None:
+            """Recount what was read, as far as MAX_RECOUNTS permits, and cache it."""
             nonlocal recounts_left
             columns, count = self._recount(tables[place], place[1], columns, recounts_left)
             recounts_left -= count
@@ -245,24 +257,26 @@ class DirectoryReader:
         None if they are too few, too coarse or too old.
         """
         with self._mutex:
-            rows = self._kept.get(place)
+            rows = self._rows.get(place)
         if rows is None or rows.until < self._clock():
             return None
         covers = rows.ends[0] <= ends[0] and ends[1] <= rows.ends[1]
         if not covers or rows.stride > max(1, -(-(ends[1] - ends[0] + 1) // limit)):
             return None
         bucket = rows.columns.bucket
+        # A bucket stands for others of its cell, also for those after it.
         inside = (bucket > ends[0] - rows.stride) & (bucket <= ends[1])
         return rows.columns.where(inside), rows.stride
 
     def _keep(self, place: SlotKey, rows: _CachedRows) -> tuple[BucketColumns, int]:
+        """Cache the rows of a partition, and return them as ``_get`` does."""
         with self._mutex:
-            before = self._kept.pop(place, None)
-            self._kept[place] = rows
+            earlier = self._rows.pop(place, None)
+            self._rows[place] = rows
             self._size += len(rows.columns.bucket)
-            self._size -= len(before.columns.bucket) if before is not None else 0
+            self._size -= len(earlier.columns.bucket) if earlier is not None else 0
             while self._size > KEPT_BUCKETS:
-                _, oldest = self._kept.popitem(last=False)
+                _, oldest = self._rows.popitem(last=False)
                 self._size -= len(oldest.columns.bucket)
         return rows.columns, rows.stride
 

@@ -37,6 +37,7 @@ from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_RUNS = 2000
+"""Maximum number of runs in a picture."""
 ERA_GAP_NS = 10 * 365 * 86_400 * SECOND_NS
 """Minimum time without a message between two eras, ns: ten years."""
 
@@ -100,8 +101,8 @@ class Lane:
     @property
     def parts(self) -> list[tuple[Longs, Longs]]:
         """First and last times of the time ranges and single messages of the lane, ns."""
-        every = (self.time_ranges.first, self.time_ranges.last), (self.keys.times, self.keys.times)
-        return [pair for pair in every if len(pair[0])]
+        times, ranges = self.keys.times, self.time_ranges
+        return [pair for pair in ((ranges.first, ranges.last), (times, times)) if len(pair[0])]
 
     @property
     def messages(self) -> int:
@@ -134,6 +135,7 @@ class Lane:
         return steps * SECOND_NS / covered_ns if covered_ns else None
 
     def _sum(self, counts: Longs) -> int:
+        """Return the sum of counts of the time ranges, by their shares in the range of the lane."""
         return round(float((counts * self.time_ranges.shares(*self._ends)).sum()))
 
     def cells(self, scale: Scale) -> TimeCells:
@@ -186,6 +188,7 @@ class Picture(NamedTuple):
             return []
         firsts, lasts = (np.concatenate(ends) for ends in zip(*parts))
         order = np.argsort(firsts)
+        # The last time of all time ranges so far, in the order of their first times.
         firsts, reached = firsts[order], np.maximum.accumulate(lasts[order])
         later = np.flatnonzero(firsts[1:] - reached[:-1] >= ERA_GAP_NS) + 1
         if self.scale is not None:  # a time range may begin before the window or end after it
@@ -206,12 +209,12 @@ class Picture(NamedTuple):
 
 
 def _spans(lane: Lane) -> list[RunSpan]:
-    s, keys = lane.time_ranges, lane.keys
-    ones = np.ones(len(keys.times), np.int64)
-    first, last = (np.concatenate([ends, keys.times]) for ends in (s.first, s.last))
-    messages, writers = (
-        np.concatenate(pair) for pair in ((s.messages, ones), (s.writer, keys.writers))
-    )
+    """Return the runs that have messages in a lane."""
+    ranges, keys = lane.time_ranges, lane.keys
+    first = np.concatenate([ranges.first, keys.times])
+    last = np.concatenate([ranges.last, keys.times])
+    messages = np.concatenate([ranges.messages, np.ones(len(keys.times), np.int64)])
+    writers = np.concatenate([ranges.writer, keys.writers])
     unique_writers, place = np.unique(writers, return_inverse=True)
     lows, highs = np.full(len(unique_writers), 2**63 - 1), np.full(len(unique_writers), -(2**63))
     np.minimum.at(lows, place, first)
@@ -223,6 +226,7 @@ def _spans(lane: Lane) -> list[RunSpan]:
 
 
 def _join(one: RunSpan, other: RunSpan) -> RunSpan:
+    """Return the messages of a run in two lanes together."""
     first, last = min(one.first, other.first), max(one.last, other.last)
     return RunSpan(one.writer, one.node, first, last, one.messages + other.messages)
 
@@ -264,8 +268,8 @@ class Timeline:
         ]
         # Maps with names do not count: one stored today for a recording of last year would leave
         # the recording a single pixel.
-        timed = self._reader.extent(tables, view.whose)
-        extent = timed or _extent(named)
+        timed_extent = self._reader.extent(tables, view.whose)
+        extent = timed_extent or _extent(named)
         ends = window_of(view, extent)
         if ends is None:
             return Picture(None, None, self._lanes(tables, [], view.whose, (0, 0), whole=True))
@@ -275,7 +279,7 @@ class Timeline:
             pieces = refined(pieces, scale, view.whose, gone)
         whole = extent is None or (ends[0] <= extent[0] and extent[1] <= ends[1])
         lanes = self._lanes(tables, [*pieces, *named], view.whose, ends, whole)
-        return Picture(extent, scale, lanes, timed is None)
+        return Picture(extent, scale, lanes, timed_extent is None)
 
     def _lanes(
         self,
@@ -296,31 +300,33 @@ class Timeline:
         for piece in pieces:
             of_table.setdefault(piece.table.name, []).append(piece)
         lanes: dict[tuple[str, str], tuple[list[TopicTable], list[RangeCounts]]] = {}
-        had: set[tuple[str, str]] = set()
+        listed: set[tuple[str, str]] = set()
+        """Robot and topic of the lanes that had messages once, by the directory."""
         for table in tables:
-            dir_nodes = {node for _, node in slots.get(table.name, [])}
+            listed_nodes = {node for _, node in slots.get(table.name, [])}
             table_pieces = of_table.get(table.name, [])
-            nodes = dir_nodes | {piece.node for piece in table_pieces} or {table.metadata.nodeID}
+            nodes = listed_nodes | {piece.node for piece in table_pieces}
+            nodes = nodes or {table.metadata.nodeID}
             if whose.nodes is not None:
                 nodes = nodes.intersection(whose.nodes)
             for node in nodes:
-                of_lane = lanes.setdefault((node, table.metadata.topic), ([], []))
-                of_lane[0].append(table)
-                of_lane[1].extend(piece for piece in table_pieces if piece.node == node)
-            had.update((node, table.metadata.topic) for node in dir_nodes)
+                lane_tables, lane_pieces = lanes.setdefault((node, table.metadata.topic), ([], []))
+                lane_tables.append(table)
+                lane_pieces.extend(piece for piece in table_pieces if piece.node == node)
+            listed.update((node, table.metadata.topic) for node in listed_nodes)
         all_lanes = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
         if whose.writers is not None:
             return [lane for lane in all_lanes if lane.times[0] is not None]
         if not whole:
             return all_lanes
-        stays = [lane for lane in all_lanes if lane.times[0] is not None or lane.key not in had]
-        topics = {lane.topic for lane in stays}
-        if whose.nodes is None:  # a topic stays without its robots
-            tables_of_topics = {
+        shown = [lane for lane in all_lanes if lane.times[0] is not None or lane.key not in listed]
+        topics = {lane.topic for lane in shown}
+        if whose.nodes is None:  # a topic without messages is shown too, without its robots
+            bare_topics = {
                 lane.topic: lane.tables for lane in all_lanes if lane.topic not in topics
             }
-            stays += [Lane(topic, "", stay, [], ends) for topic, stay in tables_of_topics.items()]
-        return sorted(stays, key=lambda lane: lane.key)
+            shown += [Lane(topic, "", tables, [], ends) for topic, tables in bare_topics.items()]
+        return sorted(shown, key=lambda lane: lane.key)
 
 
 def _extent(named: Sequence[RangeCounts]) -> Ends | None:
@@ -330,7 +336,10 @@ def _extent(named: Sequence[RangeCounts]) -> Ends | None:
 
 
 def window_of(view: View, extent: Ends | None) -> Ends | None:
-    """Return the range to draw; an open end is never on the wrong side of the other end."""
+    """Return the range to draw; an open end is never on the wrong side of the other end.
+
+    None: both ends are open, and there are no messages.
+    """
     start, end = view.start, view.end
     if start is None:
         low = extent[0] if extent else end

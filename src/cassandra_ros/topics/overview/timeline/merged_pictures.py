@@ -100,6 +100,7 @@ def _counted_once(
     Returns:
         Which time ranges count, and which overlap time ranges of the same run in another store.
     """
+    # The first of those with equal times and seqs. So each single message counts once.
     is_first = np.zeros(len(store), bool)
     is_first[np.unique(np.stack([ranges.first, seqs]), axis=1, return_index=True)[1]] = True
     counts, shared = np.ones(len(store), bool), np.zeros(len(store), bool)
@@ -107,11 +108,13 @@ def _counted_once(
     for run in np.split(order, np.flatnonzero(np.diff(ranges.writer[order])) + 1):
         if not len(run) or (store[run] == store[run[0]]).all():
             continue
+        # Time ranges of the run that overlap, directly or by others, are one group.
         reach = np.maximum.accumulate(ranges.last[run])
         group = np.cumsum(np.r_[False, ranges.first[run][1:] > reach[:-1]])
         totals = np.full((group[-1] + 1, store.max() + 1), -1)  # -1 = no messages, 0 = unknown
         totals[group, store[run]] = 0
         np.add.at(totals, (group, store[run]), ranges.messages[run])
+        # In a group of single messages each counts once; in another the store with the most counts.
         exact = (np.bincount(group, ~single[run]) == 0)[group]
         most = store[run] == totals.argmax(axis=1)[group]
         counts[run] = np.where(exact, is_first[run], most)

@@ -47,12 +47,12 @@ class MessageKeys(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[MessageKeys]) -> MessageKeys:
         """Return the messages of several objects."""
-        none = np.zeros(0, np.int64)
-        return cls(*map(np.concatenate, zip((none, none, none), *parts)))
+        empty = np.zeros(0, np.int64)
+        return cls(*map(np.concatenate, zip((empty, empty, empty), *parts)))
 
 
 class RangeCounts(NamedTuple):
-    """What is known about the messages of one table and one robot."""
+    """A piece of a picture: what is known about the messages of one table and one robot."""
 
     table: TopicTable
     node: str
@@ -70,7 +70,7 @@ class RangeCounts(NamedTuple):
 def piece_of(
     table: TopicTable, node: str, columns: BucketColumns, stride: int, whose: Whose
 ) -> RangeCounts:
-    """Return the piece of some buckets.
+    """Return the piece of some buckets, of one slot.
 
     Args:
         stride: Number of buckets for which each one stands.
@@ -79,19 +79,19 @@ def piece_of(
     mask = _living(columns, table.metadata.ttl)
     if whose.writers is not None:
         mask &= np.isin(columns.writer, sorted(whose.writers))
-    some = columns.where(mask)
-    length, has_rows = table.metadata.bucket_ns, some.rows > 0
-    begin = some.bucket * length
-    first = np.where(has_rows, some.t_min, begin)
-    last = np.where(has_rows, some.t_max, begin + length - 1)
+    living = columns.where(mask)
+    length, has_rows = table.metadata.bucket_ns, living.rows > 0
+    begin = living.bucket * length
+    first = np.where(has_rows, living.t_min, begin)
+    last = np.where(has_rows, living.t_max, begin + length - 1)
     if stride > 1:
-        first = some.bucket // stride * stride * length
-        last = np.minimum(first + stride * length - 1, _end_of_slot(some.bucket, length))
-    sure = some.closed & (stride == 1) & (table.metadata.ttl == 0)
-    counts = some.rows * stride, some.bytes * stride
-    now = some.writing & (some.age_ms <= STALE_SEC * _SECOND_MS)
-    time_ranges = TimeRanges(first, last, *counts, some.writer, sure)
-    return RangeCounts(table, node, time_ranges, some.bucket, stride > 1, bool(now.any()))
+        first = living.bucket // stride * stride * length
+        last = np.minimum(first + stride * length - 1, _end_of_slot(living.bucket, length))
+    sure = living.closed & (stride == 1) & (table.metadata.ttl == 0)
+    counts = living.rows * stride, living.bytes * stride
+    is_written = living.writing & (living.age_ms <= STALE_SEC * _SECOND_MS)
+    time_ranges = TimeRanges(first, last, *counts, living.writer, sure)
+    return RangeCounts(table, node, time_ranges, living.bucket, stride > 1, bool(is_written.any()))
 
 
 def _living(columns: BucketColumns, ttl: int) -> Bools:
@@ -99,29 +99,33 @@ def _living(columns: BucketColumns, ttl: int) -> Bools:
 
     Buckets whose messages have all expired or were all deleted are left out.
     """
-    there = (columns.rows > 0) | ~columns.closed
-    margin = np.where(columns.closed, CLOCKS_SEC, TTL_MARGIN_SEC)
-    return there & (columns.age_ms <= (ttl + margin) * _SECOND_MS) if ttl else there
+    may_have_rows = (columns.rows > 0) | ~columns.closed
+    if not ttl:
+        return may_have_rows
+    margin = np.where(columns.closed, CLOCKS_SEC, TTL_MARGIN_SEC)  # as BucketRow.expired
+    return may_have_rows & (columns.age_ms <= (ttl + margin) * _SECOND_MS)
 
 
 def _end_of_slot(buckets: Longs, length: int) -> Longs:
+    """Return the last time of the slots of some buckets, ns; ``length`` is that of a bucket."""
     return np.asarray((buckets // SLOT_BUCKETS + 1) * SLOT_BUCKETS * length - 1)
 
 
 def unread(
     table: TopicTable, node: str, ends: Sequence[tuple[int, int]], read: Sequence[RangeCounts]
 ) -> RangeCounts:
-    """Return estimates for buckets that were not read: each part has the average of those read.
+    """Return estimates for partitions that were not read: each has the average of those read.
 
     Args:
-        ends: The first and the last bucket of each part.
-        read: Pieces that were read.
+        ends: The first and the last bucket of each partition.
+        read: Pieces of the partitions that were read, of the same table and robot.
     """
     length = table.metadata.bucket_ns
     first, last = (np.array(buckets, np.int64) * length for buckets in zip(*ends))
-    columns = ([int(n.sum()) for n in (p.time_ranges.messages, p.time_ranges.bytes)] for p in read)
-    totals = np.array(list(columns), np.int64).reshape(-1, 2).sum(axis=0) // max(1, len(read))
-    messages, size = (np.full(len(ends), total) for total in totals)
+    messages_read = sum(int(piece.time_ranges.messages.sum()) for piece in read)
+    bytes_read = sum(int(piece.time_ranges.bytes.sum()) for piece in read)
+    messages = np.full(len(ends), messages_read // max(1, len(read)))
+    size = np.full(len(ends), bytes_read // max(1, len(read)))
     unknown = np.zeros(len(ends), np.int64)
     sure = unknown.astype(bool)
     time_ranges = TimeRanges(first, last + length - 1, messages, size, unknown, sure)

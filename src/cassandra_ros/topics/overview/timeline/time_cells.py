@@ -20,11 +20,13 @@ Longs = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 MAX_TIMELINE_CELLS = 10_000
+"""Maximum number of cells of a picture."""
 USUAL_TIMES = 10
 """Minimum ratio of a gap to the usual time between two messages."""
 LEAST_CELLS = 2
 """Minimum length of a gap, cells. Shorter ones cannot be seen."""
 MAX_GAPS = 500
+"""Maximum number of gaps of a lane for which the time ranges, or a run's messages, are searched."""
 WIDE_CELLS = 3
 """Minimum number of cells of a time range that is marked as spread evenly. Across the border of two
 cells spreading makes no visible difference."""
@@ -86,8 +88,8 @@ class TimeRanges(NamedTuple):
     def joined(cls, parts: Sequence[TimeRanges]) -> TimeRanges:
         """Return the time ranges of several objects."""
         if not parts:
-            none = np.zeros(0, np.int64)
-            return cls(none, none, none, none, none, none.astype(bool))
+            empty = np.zeros(0, np.int64)
+            return cls(empty, empty, empty, empty, empty, empty.astype(bool))
         return cls(*map(np.concatenate, zip(*parts)))
 
     def within(self, start: int, end: int) -> TimeRanges:
@@ -114,8 +116,11 @@ class TimeCells:
         self._rises = np.zeros(count + 1)
         """Change of the messages per cell at each cell, for time ranges that are spread evenly."""
         self._dense = np.zeros(count + 1, np.int64)
+        """Change of the number of such time ranges at each cell."""
         self._even = np.zeros(count + 1, np.int64)
+        """The same for time ranges of at least WIDE_CELLS cells and three messages."""
         self._unknown = np.zeros(count + 1, np.int64)
+        """The same for time ranges with an unknown number of messages."""
 
     @property
     def counts(self) -> Floats:
@@ -203,14 +208,15 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[tuple[int, int]]
     )
     is_pause = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
     gaps: list[tuple[int, int]] = []
-    for one in np.unique(writer[1:][is_pause]):  # of thousands of runs few have a pause
-        run = order[writer == one]
+    for writer_id in np.unique(writer[1:][is_pause]):  # of thousands of runs few have a pause
+        run = order[writer == writer_id]
         columns = time_ranges.first[run], time_ranges.last[run], time_ranges.messages[run]
         gaps += _gaps(*columns, scale)
     return _longest(gaps)
 
 
 def _gaps(first: Longs, last: Longs, messages: Longs, scale: Scale) -> list[tuple[int, int]]:
+    """Find the pauses of one writer by its time ranges, in order; see gaps_between."""
     steps = np.maximum(messages - 1, 0).sum()
     if len(first) < 2 or not steps:
         return []  # the usual time between messages is unknown
@@ -232,6 +238,7 @@ def gaps_in(times: Longs, scale: Scale) -> list[tuple[int, int]]:
 
 
 def _longest(gaps: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the MAX_GAPS longest gaps, in order of time."""
     return sorted(sorted(gaps, key=lambda gap: gap[0] - gap[1])[:MAX_GAPS])
 
 
