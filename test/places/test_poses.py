@@ -20,9 +20,10 @@ from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException, TypeMismatch
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.places import poses as poses_module
-from cassandra_ros.places.frame_poses import FrameChain
+from cassandra_ros.places.frame_poses import TF, FrameChain, TfRecording
 from cassandra_ros.places.pose_samples import Samples
-from cassandra_ros.places.poses import poses_in_frame, poses_of_topic
+from cassandra_ros.places.pose_topic import PoseTopic
+from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.rigid import Rigid, between
 
 tf2_py = compiled("tf2_py")
@@ -40,6 +41,14 @@ def store(fresh):
         wanted = ["/tf", "/turtle1/pose", "/turtle1/color_sensor"]
         import_bag(made, TURTLES, topics=wanted, nodeID="turtles", format="ros")
         yield made
+
+
+def poses_in_frame(find, of, frame, node=None, tf=TF):
+    return Poses(FrameChain(TfRecording(find, node, tf=tf), of, frame))
+
+
+def poses_of_topic(find, topic, node=None, offset=None, **gap):
+    return Poses(PoseTopic(find, topic, node, offset=offset), **gap)
 
 
 def seven(poses):

@@ -58,8 +58,8 @@ def key_after(topic: ArraySource, time: int, node: str | None, writers: Writers)
     """Return the first row key of a topic after a time, ns; None if there are no later rows."""
     if time >= MAX_NS:
         return None
-    behind = TimeRange(max(0, time + 1), MAX_NS)
-    rows = topic.read(Read(behind, Whose.of(node, writers), wanted=1))
+    later = TimeRange(max(0, time + 1), MAX_NS)
+    rows = topic.read(Read(later, Whose.of(node, writers), wanted=1))
     return next((row.t for row in rows), None)
 
 

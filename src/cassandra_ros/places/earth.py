@@ -75,13 +75,13 @@ def cut_at_180(
     share = np.divide(side * TURN / 2 - x[over], dx, out=np.zeros_like(dx), where=dx != 0)
     length = np.diff(times)[over]
     steps = np.clip(share * length, 0, length - 1).astype(np.int64)  # one of the two lies inside
-    places = []
+    added = []
     for step, turned in ((steps, 0), (steps + 1, side * TURN)):
         inside = (step > 0) & (step < length)
         at = step / length
         columns = (times[over] + step, x[over] + at * dx - turned, y[over] + at * dy)
-        places.append([column[inside] for column in columns])
-    all_times, all_x, all_y = (np.concatenate(columns) for columns in zip((times, x, y), *places))
+        added.append([column[inside] for column in columns])
+    all_times, all_x, all_y = (np.concatenate(columns) for columns in zip((times, x, y), *added))
     order = np.argsort(all_times, kind="stable")
     return all_times[order], all_x[order], all_y[order]
 
@@ -128,6 +128,7 @@ class EarthDisk:
 
     @property
     def _wide(self) -> float:
+        """Radius with a margin for rounding, metres: what is farther is certainly outside."""
         return self.radius * (1 + SLACK) + _ROUNDED_M
 
     def holds(self, x: float, y: float) -> bool:
@@ -139,6 +140,7 @@ class EarthDisk:
 
     @property
     def _radians(self) -> tuple[float, float]:
+        """Latitude and longitude of the centre, radians."""
         return math.radians(self.latitude), math.radians(self.longitude)
 
     def shares(self, lines: Lines) -> Iterator[LinePart]:
@@ -167,6 +169,7 @@ class EarthDisk:
             )
 
     def _distances(self, x: Floats, y: Floats) -> Floats:
+        """Return the distances of positions of the plane from the centre, metres; as ``holds``."""
         latitude, longitude = (np.radians(n / UNITS_PER_DEGREE) for n in (y, x))
         up, across = (
             np.sin((latitude - self._radians[0]) / 2),

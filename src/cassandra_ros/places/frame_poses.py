@@ -93,6 +93,7 @@ class TfRecording:
         """Parent and pose of each fixed frame, by frame number."""
 
     def _read_fixed(self, topic: ArraySource | None) -> dict[int, tuple[int, Rigid]]:
+        """Read the value of ``fixed``: of each frame the transform that was recorded last."""
         if topic is None:
             return {}
         fixed = FixedTransforms()
@@ -128,6 +129,7 @@ class TfRecording:
         return Samples.checked(arrays["KEY"], stamps, parents, children, numbers)
 
     def _codes_of(self, names: Iterable[str | None]) -> Codes:
+        """Return the numbers of the frames of transforms, and note the frames as recorded."""
         numbers: dict[str | None, int] = {}
         codes = []
         for name in names:
@@ -142,6 +144,17 @@ class TfRecording:
         if self.moving is None:
             return None
         return key_after(self.moving, time, self._node, self._writers)
+
+    def ancestors(self, samples: Samples, frames: set[int]) -> set[int]:
+        """Return some frames and their ancestors by samples and fixed transforms, all by number."""
+        above = frames
+        while True:
+            on_way = np.isin(samples.children, list(above))
+            wider = above | set(samples.parents[on_way].tolist())
+            wider |= {self.fixed[code][0] for code in above if code in self.fixed}
+            if wider == above:
+                return above
+            above = wider
 
     def above(self, name: str, times: Sequence[int]) -> list[str]:
         """Return the ancestors of a frame, nearest first, as recorded around some row keys, ns."""
@@ -208,33 +221,30 @@ class FrameChain:
         return self._frames.next_key(time)
 
     def on_way(self, samples: Samples) -> Flags:
-        """Return which samples are of the two frames or of their ancestors."""
-        above = {self._of, self._frame}
-        while True:
-            on_way: Flags = np.isin(samples.children, list(above))
-            wider = above | set(samples.parents[on_way].tolist())
-            wider |= {self._frames.fixed[code][0] for code in above if code in self._frames.fixed}
-            if wider == above:
-                still = [code for code in above if code in self._frames.fixed]
-                return on_way & ~np.isin(samples.children, still)
-            above = wider
+        """Return which samples are of the two frames or of their ancestors, and not fixed."""
+        above = self._frames.ancestors(samples, {self._of, self._frame})
+        moving = [code for code in above if code not in self._frames.fixed]
+        on_way: Flags = np.isin(samples.children, moving)
+        return on_way
 
     def placed(
         self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
     ) -> KnownPoses:
         """Return the poses at some times, ns, computed from the samples around them."""
-        climb = _AncestorSearch(self._frames, samples, times, stamped, longest_gap_ns)
+        search = _AncestorSearch(self._frames, samples, times, stamped, longest_gap_ns)
         poses, valid = Rigid.none(len(times)), np.zeros(len(times), bool)
-        downs = climb.ways(self._frame)
-        for up in climb.ways(self._of):
+        # Both frames have a pose in the first ancestor that they share.
+        downs = search.paths(self._frame)
+        for up in search.paths(self._of):
             for down in downs:
                 meeting = next((code for code in up.frames if code in down.frames), None)
                 if meeting is None:
                     continue
-                both = np.intersect1d(up.rows, down.rows, assume_unique=True, return_indices=True)
-                rows, mine, others = both
-                inner = up.poses[up.frames.index(meeting)].take(mine)
-                outer = down.poses[down.frames.index(meeting)].take(others)
+                rows, up_rows, down_rows = np.intersect1d(
+                    up.rows, down.rows, assume_unique=True, return_indices=True
+                )
+                inner = up.poses[up.frames.index(meeting)].take(up_rows)
+                outer = down.poses[down.frames.index(meeting)].take(down_rows)
                 poses.put(rows, outer.inverse() @ inner)
                 valid[rows] = True
         return KnownPoses(poses, valid)
@@ -254,25 +264,32 @@ class _AncestorSearch:
         self._frames, self._samples, self._times = frames, samples, times
         self._stamped, self._gap = stamped, longest_gap_ns
 
-    def ways(self, frame: int) -> Sequence[AncestorPath]:
-        """Return the paths upwards from a frame; each time belongs to one path."""
+    def paths(self, frame: int) -> Sequence[AncestorPath]:
+        """Return the paths upwards from a frame; each time belongs to one path.
+
+        A path ends where no parent is known, or before a frame that it has already.
+        """
         count = len(self._times)
-        ways: list[AncestorPath] = []
+        paths: list[AncestorPath] = []
         stack = [AncestorPath(np.arange(count), (frame,), (Rigid.none(count),))]
         while stack:
-            way = stack.pop()
-            steps, parents = self._step(way.frames[-1], way.rows)
+            path = stack.pop()
+            steps, parents = self._step(path.frames[-1], path.rows)
             for parent in np.unique(parents).tolist():
-                path = _part(way, parents == parent)
-                if parent == NO_FRAME or parent in way.frames:
-                    ways.append(path)
+                at_times = _take_times(path, parents == parent)
+                if parent == NO_FRAME or parent in path.frames:
+                    paths.append(at_times)
                     continue
-                higher = steps.take(parents == parent) @ path.poses[-1]
-                stack.append(AncestorPath(path.rows, (*way.frames, parent), (*path.poses, higher)))
-        return ways
+                higher = steps.take(parents == parent) @ at_times.poses[-1]
+                frames, poses = (*path.frames, parent), (*at_times.poses, higher)
+                stack.append(AncestorPath(at_times.rows, frames, poses))
+        return paths
 
     def _step(self, frame: int, rows: Codes) -> tuple[Rigid, Codes]:
-        """Return the poses of a frame in its parents, and the parents."""
+        """Return the poses of a frame in its parents at some times, and the parents.
+
+        The parent is NO_FRAME where none is known.
+        """
         fixed = self._frames.fixed.get(frame)
         if fixed is not None:
             parent, pose = fixed
@@ -283,5 +300,7 @@ class _AncestorSearch:
         return known_poses.poses, parents
 
 
-def _part(way: AncestorPath, which: Flags) -> AncestorPath:
-    return AncestorPath(way.rows[which], way.frames, tuple(pose.take(which) for pose in way.poses))
+def _take_times(path: AncestorPath, which: Flags) -> AncestorPath:
+    """Return a path for some of its times."""
+    poses = tuple(pose.take(which) for pose in path.poses)
+    return AncestorPath(path.rows[which], path.frames, poses)

@@ -85,14 +85,17 @@ def visits_of(path: RobotPath) -> Iterator[CellVisit]:
 
 
 def _of_poses(path: RobotPath, size: int) -> Times:
-    """Return the cells of isolated poses, from which the path does not continue."""
+    """Return the cells of isolated poses: (n, 4) numbers: x, y, low, high, see _join_visits."""
     n = path.alone
     x, y, times = _numbers(path.x[n], size), _numbers(path.y[n], size), path.times[n]
     return np.stack([x, y, times, times], 1)
 
 
 def _of_lines(path: RobotPath, size: int) -> Times:
-    """Return the cells of the lines between poses, cut into pieces of at most half a cell."""
+    """Return the cells of the lines between poses, as _of_poses.
+
+    The lines are cut into pieces of at most half a cell.
+    """
     starts, ends, lines = path.lines
     longest = np.maximum(np.abs(lines.dx), np.abs(lines.dy))
     pieces = np.maximum(np.ceil(2 * longest / size), 1).astype(np.int64)
@@ -140,10 +143,7 @@ def _join_visits(visits: Times, size: int) -> Iterator[CellVisit]:
 
 
 def joins(visit: CellVisit, low: int, high: int) -> bool:
-    """Return whether a later time range in the same cell extends a visit.
-
-    Else it is a new visit.
-    """
+    """Return whether a time range in the same cell, no earlier, extends a visit; else it is new."""
     return low <= visit.high + JOIN_NS and high - visit.low <= LONGEST_NS
 
 
@@ -152,10 +152,11 @@ class OpenVisits:
 
     def __init__(self) -> None:
         self._open: dict[GroundCell, CellVisit] = {}
+        """Latest visits of cells, which the next part of the path may extend."""
 
     def visits(self, path: RobotPath) -> list[CellVisit]:
         """Return the visits of the next part of a path; an extended visit from its beginning."""
-        ended = []
+        visits = []
         for visit in visits_of(path):
             earlier = self._open.get(visit.cell)
             if (
@@ -165,7 +166,7 @@ class OpenVisits:
             ):
                 visit = CellVisit(visit.cell, earlier.low, max(earlier.high, visit.high))
             self._open[visit.cell] = visit
-            ended.append(visit)
+            visits.append(visit)
         last = int(path.times[-1]) if len(path) else 0
         self._open = {c: v for c, v in self._open.items() if v.high + JOIN_NS >= last}
-        return ended
+        return visits

@@ -48,10 +48,10 @@ class RobotPath:
     def of(cls, tracks: Iterable[Track], frame: str) -> RobotPath:
         """Return the path of consecutive tracks, whose poses are in a frame."""
         all_tracks = list(tracks)
-        none = np.zeros(0)
+        empty = np.zeros(0)
         times = [np.zeros(0, np.int64), *(track.times for track in all_tracks)]
         x, y = (
-            [none, *(getattr(track.poses, name) for track in all_tracks)] for name in ("x", "y")
+            [empty, *(getattr(track.poses, name) for track in all_tracks)] for name in ("x", "y")
         )
         unique_times, first = np.unique(np.concatenate(times), return_index=True)
         columns = unique_times, np.concatenate(x)[first], np.concatenate(y)[first]

@@ -126,14 +126,14 @@ class Samples:
             ),
         )
 
-    def times(self, stamped: bool) -> Times:
-        """Return the stamps if ``stamped``, else the receive times."""
-        return self.stamps if stamped else self.keys
-
     def track(self, child: int, stamped: bool) -> Track:
-        """Return the track of one frame; of samples with equal times the first is used."""
-        mine = np.flatnonzero(self.children == child)
+        """Return the track of one frame, by stamps if ``stamped``, else by receive times.
+
+        Of samples with equal times the first is used.
+        """
+        of_child = np.flatnonzero(self.children == child)
+        times = self.stamps if stamped else self.keys
         # np.unique returns the index of the first of equal values.
-        times, first = np.unique(self.times(stamped)[mine], return_index=True)
-        rows = mine[first]
-        return Track(times, self.parents[rows], self.poses.take(rows))
+        unique_times, first = np.unique(times[of_child], return_index=True)
+        rows = of_child[first]
+        return Track(unique_times, self.parents[rows], self.poses.take(rows))

@@ -140,6 +140,7 @@ class PoseTopic:
         """Frame of the poses, without a slash in front; '' if the type has no frame."""
 
     def _first_frame(self) -> str:
+        """Return the frame of the first message; '' without messages."""
         first = key_after(self._topic, -1, self._node, self._writers)
         if first is None:
             return ""
@@ -163,6 +164,7 @@ class PoseTopic:
         keys = arrays["KEY"]
         stamps = filled(arrays[_STAMP], 0) if self._stamped else keys
         columns = [filled(arrays[name].astype(np.float64), np.nan) for name in self._fields]
+        # Two frames: 0 is that of the poses, 1 the robot.
         parents, robot = np.zeros(len(keys), np.int64), np.ones(len(keys), np.int64)
         numbers = _fix_numbers(*columns) if self._on_earth else _numbers(columns)
         return Samples.checked(keys, stamps, parents, robot, numbers)
@@ -200,7 +202,8 @@ class PoseTopic:
         self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
     ) -> KnownPoses:
         """Return the poses at some times, ns, computed from the samples around them."""
-        (poses, valid), _ = samples.track(1, stamped).at(times, longest_gap_ns)
+        robot = samples.track(1, stamped)
+        (poses, valid), _ = robot.at(times, longest_gap_ns)
         return KnownPoses(poses @ self._offset, valid)
 
 

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Poses of a robot, or of a sensor on it, at many times, as numpy arrays.
 
-``poses_in_frame`` computes them from recorded tf, ``poses_of_topic`` from a topic of poses. Each
-returns a ``Poses`` object for one robot:
+A ``Poses`` object has those of one source: frames of recorded tf (``FrameChain``), or a topic of
+poses (``PoseTopic``):
 
-    poses = poses_in_frame(store.getTopic, "base_link", "map", node="husky")
-    found, known = poses.at(times)          # ns; x, y, yaw: found.x[known], found.y[known], …
+    poses = Poses(FrameChain(TfRecording(find, "husky"), "base_link", "map"))
+    rigid, known = poses.at(times)          # ns; x, y, yaw: rigid.x[known], rigid.y[known], …
     for track in poses.tracks(start, end):  # every recorded pose: track.times, track.poses.x, …
         …
 
@@ -22,8 +22,6 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.array_source import TopicFinder
-from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.pose_samples import (
     NO_FRAME,
     Codes,
@@ -33,9 +31,7 @@ from cassandra_ros.places.pose_samples import (
     Times,
     Track,
 )
-from cassandra_ros.places.pose_topic import PoseTopic
 from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.read import Writers
 
 LONGEST_GAP_SEC = 10.0
 """Maximum time between two recorded poses with known poses in between, s."""
@@ -73,7 +69,7 @@ class Poses:
     """Poses of one frame at any time. For use by one thread.
 
     Args:
-        recording: Source of the poses.
+        source: Source of the poses.
         longest_gap_sec: Maximum time between two recorded poses with known poses in between, s.
 
     Attributes:
@@ -122,14 +118,11 @@ class Poses:
             valid[rows] = known_poses.known
         return KnownPoses(poses, valid)
 
-    def tracks(self, low: int, high: int, stamped: bool = False) -> Iterator[Track]:
+    def tracks(self, low: int, high: int) -> Iterator[Track]:
         """Yield all recorded poses that were received in [low, high], ns, in time order.
 
-        There is one pose for each time at which a frame on the path (or the topic) was recorded and
-        the other frames are known. Each track covers at most MAX_SPAN_NS.
-
-        Args:
-            stamped: Whether the times are header stamps instead of receive times.
+        There is one pose for each receive time at which a frame on the path (or the topic) was
+        recorded and the other frames are known. Each track covers at most MAX_SPAN_NS.
         """
         start, high = max(0, low), min(high, MAX_NS)
         while start <= high:
@@ -137,8 +130,8 @@ class Poses:
             around = self._samples(start - self._reach, end + self._reach)
             mine = (around.keys >= start) & (around.keys <= end) & self._source.on_way(around)
             if mine.any():
-                times = np.unique(around.times(stamped)[mine])
-                poses, valid = self._source.placed(around, times, stamped, self._gap)
+                times = np.unique(around.keys[mine])
+                poses, valid = self._source.placed(around, times, False, self._gap)
                 parents: Codes = np.full(int(valid.sum()), NO_FRAME)
                 if valid.any():
                     yield Track(times[valid], parents, poses.take(valid))
@@ -186,61 +179,3 @@ class Poses:
         else:
             self._held = (low, high, self._source.read(low, high))
         return self._held[2].within(low, high)
-
-
-def poses_in_frame(
-    find: TopicFinder,
-    of: str,
-    frame: str,
-    *,
-    node: str | None = None,
-    writers: Writers = None,
-    tf: str = TF,
-    tf_static: str = TF_STATIC,
-    longest_gap_sec: float = LONGEST_GAP_SEC,
-) -> Poses:
-    """Return the poses of a frame in another, from recorded tf.
-
-    Args:
-        find: Returns a topic by its name, as RosCassandra.getTopic does.
-        of: Moving frame, as 'base_link' or 'laser'; a slash in front is ignored.
-        frame: Frame in which the poses are given, as 'map' or 'odom'.
-        node: nodeID of the robot; None = all robots.
-        writers: Writer ids of the runs, as Runs.writers returns them; None = all runs.
-        tf, tf_static: Names of the topics; one may be missing.
-        longest_gap_sec: Maximum time between two transforms with known poses in between, s.
-
-    Raises:
-        TopicNotFound: Neither topic is stored.
-        TypeMismatch: A topic holds other messages.
-        InvalidName, InvalidOption: An argument is invalid.
-    """
-    return Poses(
-        FrameChain(TfRecording(find, node, writers, tf, tf_static), of, frame), longest_gap_sec
-    )
-
-
-def poses_of_topic(
-    find: TopicFinder,
-    topic: str,
-    *,
-    offset: Rigid | None = None,
-    node: str | None = None,
-    writers: Writers = None,
-    longest_gap_sec: float = LONGEST_GAP_SEC,
-) -> Poses:
-    """Return the poses of a robot, from a topic of Odometry, PoseStamped or a similar type.
-
-    Args:
-        find: Returns a topic by its name, as RosCassandra.getTopic does.
-        topic: Name of the topic. Types are recognised by their fields: pose.pose, pose, position
-            and orientation, transform; x, y and theta.
-        offset: Pose on the robot whose poses are returned, as that of a sensor.
-        node, writers, longest_gap_sec: As in poses_in_frame.
-
-    Raises:
-        TopicNotFound: The topic is not stored.
-        TypeMismatch: Its messages are not poses.
-        InvalidName, InvalidOption: An argument is invalid.
-    """
-    return Poses(PoseTopic(find, topic, node, writers, offset), longest_gap_sec)

@@ -18,8 +18,6 @@ from typing import (
     Sequence,
 )
 
-import numpy as np
-
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.array_source import (
@@ -124,22 +122,20 @@ def fixed_frames(frames: TfRecording) -> dict[str, str]:
 
 
 def frames_above(frames: TfRecording, samples: Samples, name: str) -> list[str]:
-    """Return a frame and its ancestors, as far as samples and fixed transforms are known."""
-    above: set[int] = {frames.code(name)}
-    while True:
-        on_way = np.isin(samples.children, list(above))
-        wider = above | set(samples.parents[on_way].tolist())
-        wider |= {frames.fixed[code][0] for code in above if code in frames.fixed}
-        if wider == above:
-            return sorted(frames.names[code] for code in above if code != NO_FRAME)
-        above = wider
+    """Return the names of a frame and its ancestors by samples and fixed transforms, sorted."""
+    above = frames.ancestors(samples, {frames.code(name)})
+    return sorted(frames.names[code] for code in above if code != NO_FRAME)
 
 
-def frames_in(frames: TfRecording, parts: Iterable[Samples]) -> TfFrames:
-    """Return the frames in samples and among the fixed transforms."""
+def frames_in(frames: TfRecording, several: Iterable[Samples]) -> TfFrames:
+    """Return the frames in samples and among the fixed transforms.
+
+    Robots are the frames with the name of a body; without any, the moving frames that carry no
+    moving frame.
+    """
     moving: set[int] = set()
     carrying: set[int] = set()
-    for samples in parts:
+    for samples in several:
         moving |= set(samples.children.tolist())
         carrying |= set(samples.parents.tolist())
     fixed = {code for child, (parent, _) in frames.fixed.items() for code in (child, parent)}
@@ -168,7 +164,7 @@ def find_frames(find: TopicFinder, node: str, writers: Writers = None) -> TfFram
         frames = TfRecording(find, node, writers)
     except TopicNotFound:
         return None
-    parts = []
+    samples = []
     if frames.moving is not None:
         first = key_after(frames.moving, -1, node, writers)
         last = last_key(frames.moving, node, writers)
@@ -176,8 +172,9 @@ def find_frames(find: TopicFinder, node: str, writers: Writers = None) -> TfFram
             for number in range(_SAMPLES):
                 near = first + (last - _SAMPLE_NS - first) * number // (_SAMPLES - 1)
                 at = key_after(frames.moving, max(first, near) - 1, node, writers)
-                parts.append(frames.read(first if at is None else at, (at or first) + _SAMPLE_NS))
-    tf = frames_in(frames, parts)
+                start = first if at is None else at
+                samples.append(frames.read(start, start + _SAMPLE_NS))
+    tf = frames_in(frames, samples)
     return tf if tf.frames else None
 
 
@@ -205,6 +202,7 @@ class RobotFinder:
         self._told: dict[str, list[str]] = {}
         """Frames in which topics give poses, by topic, for the text of an error."""
         self._find_frames = lru_cache(None)(partial(find_frames, stored.find))
+        """The frames that tf has for a node and some runs, see find_frames."""
 
     def robots(self, nodes: Sequence[str] | None = None) -> list[Robot]:
         """Return the robots of some nodes, one for each node that has poses; None = all nodes."""
@@ -217,8 +215,8 @@ class RobotFinder:
             for node in all_nodes
             if (nodes is None or node in nodes) and (writing is None or node in writing)
         )
-        frames_of_runs = [self._of_runs(node, named) for node in node_ids]
-        robots = [robot for robot in frames_of_runs if robot is not None]
+        sources = [self._of_runs(node, named) for node in node_ids]
+        robots = [robot for robot in sources if robot is not None]
         if not robots and all_nodes:
             raise InvalidOption(self._unknown_robots(nodes, all_nodes) or self._no_pose(node_ids))
         if not robots:
@@ -226,6 +224,7 @@ class RobotFinder:
         return robots
 
     def _no_topic(self) -> str:
+        """Say that no topic tells poses, or positions on the Earth."""
         if self._on_earth and self._robot:
             similar = nearest(self._robot, self._fix_topics())
             return f"{self._robot!r} is no stored topic of latitude and longitude{similar}"
@@ -267,6 +266,7 @@ class RobotFinder:
         return WGS84 if self._fix_topics() else USUAL_FRAMES[0]
 
     def _tf(self) -> list[ArraySource]:
+        """Return the stored topics of tf, that of moving transforms first; none on the Earth."""
         if self._on_earth:
             return []
         topics = (find_stored(self._stored.find, name) for name in (TF, TF_STATIC))
@@ -298,6 +298,12 @@ class RobotFinder:
         return robot or self._of_node(node, named, None)
 
     def _of_node(self, node: str, named: ArraySource | None, writers: Writers) -> Robot | None:
+        """Return the robot of a node by the poses of some runs; None if these are in no such frame.
+
+        Raises:
+            InvalidOption: Several frames of tf, or several topics, may be meant.
+        """
+
         def of_topic(topic: ArraySource) -> Robot:
             return Robot(node, topic, self._frame, "", self._stored.find, writers)
 
@@ -323,6 +329,7 @@ class RobotFinder:
         return of_topic(candidates[0]) if candidates else None
 
     def _in_tf(self, node: str, tf: TfFrames, writers: Writers) -> Robot | None:
+        """Return the robot of a node by tf, which has the frame; errors as ``_of_node``."""
         name = self._robot.lstrip("/")
         if name and name not in tf.frames:
             return None
@@ -339,6 +346,10 @@ class RobotFinder:
         return Robot(node, moving, self._frame, name, self._stored.find, writers)
 
     def _frame_of(self, topic: ArraySource, node: str, writers: Writers = None) -> str:
+        """Return the frame of a topic's poses, and note it for the text of an error.
+
+        '' = its type has no frame; _NO_FIX = no message has a position on the Earth.
+        """
         if self._on_earth:
             fixes = PoseTopic(self._stored.find, topic.name, node, writers, frame=WGS84)
             frame = WGS84 if fixes.holds_any() else _NO_FIX
@@ -360,6 +371,7 @@ class RobotFinder:
         return f"NEAR({place}, radius IN {', '.join(map(repr, (frame, *robot)))})"
 
     def _no_pose(self, nodes: Sequence[str]) -> str:
+        """Say that no pose of some nodes is in the frame, and in which frames there are poses."""
         if self._on_earth:
             whose = " or ".join(sorted(self._told)) or "these runs"
             return f"no latitude and longitude is stored: no message of {whose} has a fix"

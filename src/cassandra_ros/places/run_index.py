@@ -22,7 +22,7 @@ from cassandra_ros.places.array_source import (
     TopicFinder,
     find_stored,
 )
-from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
+from cassandra_ros.places.frame_poses import TF, FrameChain, TfRecording
 from cassandra_ros.places.ground_cells import OpenVisits
 from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath, merge_ranges
 from cassandra_ros.places.pose_samples import Samples
@@ -67,14 +67,14 @@ class _RobotVisits:
 
     def __init__(self, poses: Poses, frame: str, robot: str) -> None:
         self._poses = poses
-        self._at = (frame, robot)
+        self._frame, self._robot = frame, robot
         self._open = OpenVisits()
 
     def visits(self, whose: RobotRun, low: int, high: int) -> Iterator[VisitRow]:
         """Yield the visits of the time range [low, high], ns, and of the path into it."""
-        path = RobotPath.of(self._poses.tracks(low - LONGEST_GAP_NS, high), self._at[0])
+        path = RobotPath.of(self._poses.tracks(low - LONGEST_GAP_NS, high), self._frame)
         for visit in self._open.visits(path):
-            square = Square(*self._at, *visit.cell)
+            square = Square(self._frame, self._robot, *visit.cell)
             yield VisitRow(square, whose.node, visit.low, whose.writer, visit.high)
 
 
@@ -89,11 +89,13 @@ class TfVisits:
     def __init__(self, find: TopicFinder, whose: RobotRun) -> None:
         self._whose = whose
         self._frames = _CachedRecording(find, whose.node)
-        self._ways: dict[tuple[str, str], _RobotVisits] = {}
+        self._robot_visits: dict[tuple[str, str], _RobotVisits] = {}
+        """Frames of a robot and of its places → its visits."""
         self._since: dict[str, int] = {}
         """Row key from which a robot is indexed, ns, by frame."""
         self._seen: set[str] = set()
-        self._begun = False
+        """Names of the frames that were met, at most MAX_FRAMES."""
+        self._has_begun = False
 
     def visits(self, low: int, high: int) -> Iterator[VisitRow]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
@@ -101,18 +103,21 @@ class TfVisits:
         tf = frames_in(self._frames, [samples])
         self._seen.update(sorted(tf.frames)[: max(0, MAX_FRAMES - len(self._seen))])
         for robot in tf.robots:
-            self._since.setdefault(robot, low if self._begun else 0)
-        self._begun = True
+            self._since.setdefault(robot, low if self._has_begun else 0)
+        self._has_begun = True
         for robot in sorted(self._since):
             for frame in frames_above(self._frames, samples, robot)[:MAX_FRAMES_ABOVE]:
                 if frame != robot:
-                    if (robot, frame) not in self._ways:
+                    if (robot, frame) not in self._robot_visits:
                         poses = Poses(FrameChain(self._frames, robot, frame))
-                        self._ways[robot, frame] = _RobotVisits(poses, frame, robot)
-                    yield from self._ways[robot, frame].visits(self._whose, low, high)
+                        self._robot_visits[robot, frame] = _RobotVisits(poses, frame, robot)
+                    yield from self._robot_visits[robot, frame].visits(self._whose, low, high)
 
     def placed(self, table: str, low: int, high: int) -> list[IndexedPoses]:
-        """Return the index records of the row keys [low, high], ns, in a table."""
+        """Return the index records of the row keys [low, high], ns, in a table, one of each robot.
+
+        The visits of these keys must have been yielded.
+        """
         fixed = fixed_frames(self._frames)
         return [
             IndexedPoses(
@@ -128,28 +133,33 @@ class TfVisits:
         ]
 
     def _above(self, robot: str) -> list[str]:
-        return [robot, *(frame for name, frame in self._ways if name == robot)]
+        """Return the frame of a robot, and the frames in which its places are indexed."""
+        return [robot, *(frame for name, frame in self._robot_visits if name == robot)]
 
 
 class TopicVisits:
     """Index of the robot of a topic of poses, or of positions on the Earth, for one run.
 
-    Arguments as for TfVisits.
+    Args:
+        find: Returns a topic by its name.
+        topic: Name of the topic; TopicNotFound if it is not stored, TypeMismatch if it tells none.
+        whose: The run.
     """
 
     def __init__(self, find: TopicFinder, topic: str, whose: RobotRun) -> None:
         self._whose = whose
         frame = WGS84 if tells_fixes(find(topic)) else None
-        recording = PoseTopic(find, topic, whose.node, frame=frame)
-        self._frame = recording.frame
-        self._poses = Poses(recording)
-        self._ways: dict[str, _RobotVisits] = {}
+        source = PoseTopic(find, topic, whose.node, frame=frame)
+        self._frame = source.frame
+        self._poses = Poses(source)
+        self._robot_visits: dict[str, _RobotVisits] = {}
+        """Table of the poses, by which the index names the robot → its visits."""
 
     def visits(self, table: str, low: int, high: int) -> Iterator[VisitRow]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
-        if table not in self._ways:
-            self._ways[table] = _RobotVisits(self._poses, self._frame, table)
-        yield from self._ways[table].visits(self._whose, low, high)
+        if table not in self._robot_visits:
+            self._robot_visits[table] = _RobotVisits(self._poses, self._frame, table)
+        yield from self._robot_visits[table].visits(self._whose, low, high)
 
     def placed(self, table: str, low: int, high: int) -> list[IndexedPoses]:
         """Return the index records of the row keys [low, high], ns, in a table."""
@@ -185,6 +195,9 @@ class RunIndex:
     def make(self, progress: Callable[[int, int], None] | None = None) -> IndexResult | None:
         """Index all poses of the run; return None if it has no poses. Can be repeated.
 
+        The records, which say that visits are complete, are withdrawn first, and written again
+        after the visits.
+
         Args:
             progress: Called with the seconds that are done, and the seconds in all.
         """
@@ -195,7 +208,7 @@ class RunIndex:
         total = sum(len(list(_windows(poses.extents))) for poses in all_poses)
         windows = visits = 0
         for table in {extent.table for extent in extents}:
-            self._index.withdraw(table, run=self._whose)  # the visits are written again
+            self._index.withdraw(table, run=self._whose)
         for poses in all_poses:
             for low, high in _windows(poses.extents):
                 visits_of_window = list(poses.visits(low, high))
@@ -207,11 +220,12 @@ class RunIndex:
         return IndexResult(min(e.low for e in extents), max(e.high for e in extents), visits)
 
     def _poses_of_topics(self) -> Iterator[_TopicPoses]:
+        """Yield the run's poses of tf, and of each table of each topic of poses."""
         whose = self._whose
-        tf = [find_stored(self._stored.find, name) for name in (TF, TF_STATIC)]
-        if tf[0] is not None:
-            notes = TfVisits(self._stored.find, whose)
-            yield _TopicPoses(self._extents(tf[0]), notes.visits, notes.placed)
+        tf = find_stored(self._stored.find, TF)
+        if tf is not None:
+            tf_visits = TfVisits(self._stored.find, whose)
+            yield _TopicPoses(self._extents(tf), tf_visits.visits, tf_visits.placed)
         for topic in self._stored.topics():
             if tells_poses(topic) or tells_fixes(topic):
                 extents = self._extents(topic)
@@ -224,23 +238,27 @@ class RunIndex:
                         )
 
     def _extents(self, topic: ArraySource) -> list[Extent]:
+        """Return the time ranges of the run's messages of a topic."""
         node, writer = self._whose
         extents = self._stored.extents(topic, node, 0, MAX_NS)
         return [extent for extent in extents if extent.writer == writer]
 
 
 class _TopicPoses(NamedTuple):
-    """The poses of one topic."""
+    """The poses of one topic, or of one of its tables."""
 
     extents: Sequence[Extent]
     visits: Callable[[int, int], Iterator[VisitRow]]
-    note: Callable[[str, int, int], list[IndexedPoses]]
+    """Yields the visits of a range of row keys."""
+    records_of: Callable[[str, int, int], list[IndexedPoses]]
+    """Returns the index records of a range of row keys in a table."""
 
     def placed(self) -> Iterator[IndexedPoses]:
         """Yield the index records of the poses, by table."""
         for table in sorted({extent.table for extent in self.extents}):
             extents = [extent for extent in self.extents if extent.table == table]
-            yield from self.note(table, min(e.low for e in extents), max(e.high for e in extents))
+            low, high = min(e.low for e in extents), max(e.high for e in extents)
+            yield from self.records_of(table, low, high)
 
 
 def _windows(extents: Sequence[Extent]) -> Iterator[tuple[int, int]]:

@@ -36,7 +36,7 @@ OPEN_WINDOW_CACHE_SEC = 2.0
 class PathWindow:
     """The path of a robot in one time window, by all runs and by each run."""
 
-    every: RobotPath
+    of_all: RobotPath
     """Path by the poses of all runs."""
     by_run: Mapping[str, RobotPath] = field(default_factory=dict)
     """Paths by the poses of one run, by the value of RUN, if several runs overlap."""
@@ -45,14 +45,14 @@ class PathWindow:
 
     def at(self, run: str, t: int) -> tuple[float, float] | None:
         """Return the position of the robot of a run's message at a time, ns; None if unknown."""
-        mine = self.by_run.get(run)
-        place = None if mine is None else mine.at(t)
-        return self.every.at(t) if place is None else place
+        run_path = self.by_run.get(run)
+        place = None if run_path is None else run_path.at(t)
+        return self.of_all.at(t) if place is None else place
 
     @property
     def paths(self) -> list[RobotPath]:
         """All paths."""
-        return [self.every, *self.by_run.values()]
+        return [self.of_all, *self.by_run.values()]
 
 
 class Windows:
@@ -62,11 +62,14 @@ class Windows:
         self.robot = robot
         self._stored = stored
         self._poses: dict[Writers, Poses] = {}
-        self._kept: OrderedDict[int, tuple[float, PathWindow]] = OrderedDict()
+        self._cache: OrderedDict[int, tuple[float, PathWindow]] = OrderedDict()
+        """Number of a window → monotonic time until which it is used, s, and the window; the one
+        that was used last is at the end."""
         self.still = self._still()
         """Path of a robot that never moves; None if it moves."""
 
     def _still(self) -> RobotPath | None:
+        """Return the value of ``still``."""
         # A pose that is known without any moving transform is fixed.
         nothing, once = Samples.none(), np.zeros(1, np.int64)
         poses, valid = self.robot.source().placed(nothing, once, False, 0)
@@ -85,19 +88,20 @@ class Windows:
         if self.still is not None:
             return PathWindow(self.still, complete=True)
         number = t // TRACK_WINDOW_NS
-        path = self._kept.get(number)
-        if path is not None and path[0] > time.monotonic():
-            self._kept.move_to_end(number)
-            return path[1]
-        if path is not None:  # poses may have come since it was read
-            for poses in self._poses.values():
+        entry = self._cache.get(number)
+        if entry is not None:
+            until, window = entry
+            if until > time.monotonic():
+                self._cache.move_to_end(number)
+                return window
+            for poses in self._poses.values():  # poses may have come since it was read
                 poses.forget()
         window = self._read(number)
         until = math.inf if window.complete else time.monotonic() + OPEN_WINDOW_CACHE_SEC
-        self._kept[number] = (until, window)
-        self._kept.move_to_end(number)
-        while len(self._kept) > MAX_CACHED_WINDOWS:
-            self._kept.popitem(last=False)
+        self._cache[number] = (until, window)
+        self._cache.move_to_end(number)
+        while len(self._cache) > MAX_CACHED_WINDOWS:
+            self._cache.popitem(last=False)
         return window
 
     def _read(self, number: int) -> PathWindow:
@@ -109,17 +113,20 @@ class Windows:
         robot = self.robot
         extents = self._stored.extents(robot.topic, robot.node, low, high)
         # Several runs may have the same value of RUN: then their poses are used together.
-        called: dict[str, set[int]] = {}
+        by_text: dict[str, set[int]] = {}
         for writer in {extent.writer for pair in overlapping_pairs(extents) for extent in pair}:
-            called.setdefault(self._stored.run_text(writer), set()).add(writer)
+            by_text.setdefault(self._stored.run_text(writer), set()).add(writer)
         by_run = {
-            text: self._path(frozenset(writers), low, high) for text, writers in called.items()
+            text: self._path(frozenset(writers), low, high) for text, writers in by_text.items()
         }
         return PathWindow(path, by_run, int(path.times[-1]) > high - LONGEST_GAP_NS)
 
 
 def overlapping_pairs(extents: Sequence[Extent]) -> Iterator[tuple[Extent, Extent]]:
-    """Yield pairs of time ranges of two runs that overlap, sorted by their start."""
+    """Yield pairs of time ranges of two runs that overlap, sorted by their start.
+
+    Not all pairs: each time range with the one before it that reaches farthest.
+    """
     longest: Extent | None = None
     for extent in sorted(extents, key=lambda e: (e.low, e.high)):
         if longest is not None and extent.low <= longest.high and extent.writer != longest.writer:

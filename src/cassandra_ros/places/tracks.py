@@ -77,7 +77,7 @@ def find_tracks(
     tracks = []
     for robot in places.robots(*frame_and_robot, nodes, writers):
         extents = places.extents(robot, low, high)
-        spans = list(merge_ranges(sorted((max(low, e[2]), min(high, e[3])) for e in extents)))
+        spans = list(merge_ranges(sorted((max(low, e.low), min(high, e.high)) for e in extents)))
         path = _path(robot, spans, watch)
         if len(path):
             tracks.append(RobotTrack(robot.node, robot.frame, *reduce_points(path, most)))
@@ -85,13 +85,14 @@ def find_tracks(
 
 
 def _path(robot: Robot, spans: Sequence[tuple[int, int]], watch: Callable[[], None]) -> RobotPath:
+    """Return the path of a robot in some time ranges, ns: whole, or by samples if they are long."""
     poses, tracks = robot.poses(), []
     total = sum(end - start + 1 for start, end in spans)
     for start, end in spans if total <= WHOLE_NS else _sample_ranges(spans, total):
         for track in poses.tracks(start, end):
             watch()
             tracks.append(track)
-            if total > WHOLE_NS:
+            if total > WHOLE_NS:  # one track is enough for a moment
                 break
     path = RobotPath.of(tracks, robot.frame)
     if total <= WHOLE_NS or not len(path):
@@ -129,7 +130,11 @@ def reduce_points(path: RobotPath, most: int) -> tuple[RobotPath, list[bool]]:
 
 
 def _chosen_indices(path: RobotPath, most: int, broken: Times) -> Times:
-    """Return the indices of the points that stay."""
+    """Return the indices of the points that stay.
+
+    Args:
+        broken: Indices of the points from which the line to the next one is not known.
+    """
     count = len(path)
     ends = np.unique(np.concatenate([[0, count - 1], broken, broken + 1]))
     if len(ends) > most:

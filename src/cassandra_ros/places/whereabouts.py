@@ -50,6 +50,7 @@ class RegionStays:
     def __init__(self, region: Region, windows: Mapping[str, Windows], coverage: Coverage) -> None:
         self._region, self._windows, self._coverage = region, windows, coverage
         self._latest: dict[str, tuple[int, PathWindow]] = {}
+        """nodeID → number of the window in which a message was tested last, and the window."""
         self._mutex = threading.Lock()
 
     @property
@@ -70,6 +71,7 @@ class RegionStays:
         return None if place is None else self._region.holds(*place)
 
     def _window(self, windows: Windows, t: int) -> PathWindow:
+        """Return the window that contains a time; one thread reads windows at a time."""
         with self._mutex:
             return windows.of(t)
 
@@ -102,6 +104,7 @@ class RegionStays:
         reverse: bool,
         watch: Callable[[], None],
     ) -> Iterator[NsRange]:
+        """Yield the stays of robots that move, window by window, for ``spans``."""
         candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in moving]
         ranges = merge_ranges(sorted(span for spans in candidates for span in spans))
         for number in _numbers(list(ranges), reverse):
@@ -268,12 +271,16 @@ class Coverage:
     def _visits(
         self, robot: Robot, cells: Sequence[GroundCell], low: int, high: int
     ) -> Iterable[NsRange]:
+        """Return the visits of a robot to some cells that may reach into [low, high], ns."""
         squares = [Square(robot.frame, key, *cell) for key in robot.keys for cell in cells]
         return self._index.visits(squares, robot.node, max(0, low) - _EARLIER_NS, high)
 
 
 def is_valid(record: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> bool:
     """Return whether an index record is still valid for a robot.
+
+    It is if the visits in the robot's frame are in the index, or if there are none because the
+    frame did not exist; and if the frames above the robot are fixed as when it was made.
 
     Args:
         fixed: Parent and pose of each fixed frame, as it is now.
@@ -300,15 +307,15 @@ def uncovered_ranges(extents: Sequence[Extent], index: Sequence[IndexedPoses]) -
     for record in index:
         indexed.setdefault((record.table, record.writer), []).append((record.low, record.high))
     for extent in extents:
-        ranges = list(merge_ranges(sorted(indexed.get(extent[:2], ()))))
-        for low, high in subtract_ranges([extent[2:]], ranges):
+        ranges = list(merge_ranges(sorted(indexed.get((extent.table, extent.writer), ()))))
+        for low, high in subtract_ranges([(extent.low, extent.high)], ranges):
             yield low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
     for one, other in overlapping_pairs(extents):
         yield other.low - LONGEST_GAP_NS, min(one.high, other.high) + LONGEST_GAP_NS
     # The robot may have moved between the last pose of one run and the first pose of the next.
-    there = {extent[:2] for extent in extents}
+    runs = {(extent.table, extent.writer) for extent in extents}
     last: int | None = None
-    for low, high in sorted((n.low, n.high) for n in index if (n.table, n.writer) in there):
+    for low, high in sorted((r.low, r.high) for r in index if (r.table, r.writer) in runs):
         if last is not None and last < low <= last + LONGEST_GAP_NS:
             yield last, low
         last = high if last is None else max(last, high)

@@ -112,12 +112,18 @@ class _Lookup:
             moving = tree.moving([frames[0]])
         if not moving:
             return self._compute(tree, path, None)
-        oldest = min(moving)
+        oldest = min(moving)  # by stamp
         return self.at(oldest.stamp, oldest.key)
 
     def _compute(
         self, tree: FrameTree, path: Sequence[str] | None, time: int | None
     ) -> TransformStamped:
+        """Return the transform by tf2, at a time in ns, or (None) by fixed transforms alone.
+
+        Args:
+            path: Child frames on the path; [] if both frames are the same, None if they are not
+                connected. Then tf2 raises an error.
+        """
         fixed = tree.fixed.all()
         moving = [s for s in tree.nearest.all() if s.child not in tree.fixed.before]
         if path:

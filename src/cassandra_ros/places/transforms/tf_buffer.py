@@ -88,6 +88,7 @@ def _shorten(distance: int, longest: int) -> int:
 
 
 def _message(sample: Sample, ns: int) -> TransformStamped:
+    """Return a transform as a message with another stamp, ns."""
     message = TransformStamped()
     message.header.stamp = Stamp.from_ns(ns)
     message.header.frame_id = sample.parent

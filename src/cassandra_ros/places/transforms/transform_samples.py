@@ -60,7 +60,7 @@ class Sample(NamedTuple):
 class NearestTransforms:
     """For each child frame the nearest transforms before and after a time, ns.
 
-    None = the newest.
+    Without a time (None) it is the newest one, which counts as before.
     """
 
     def __init__(self, time: int | None = None) -> None:
@@ -75,10 +75,7 @@ class NearestTransforms:
         """Child frames with transforms that were left out, and the reason."""
 
     def wants(self, child: str, stamp: int, order: Order) -> bool:
-        """Return whether a transform is nearer than the known ones.
-
-        Of equal stamps the first is.
-        """
+        """Return whether a transform is nearer than that so far; of equal stamps the first is."""
         if self.time is None or stamp <= self.time:
             sample = self.before.get(child)
             return sample is None or (stamp, sample.order) > (sample.stamp, order)
@@ -199,6 +196,7 @@ class TransformTopic:
                 _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
 
     def _add(self, nearest: NearestTransforms, row: Row) -> None:
+        """Add the transforms of a message; raises CorruptMessage."""
         heads, rests = self._extractor(row.table)
         rest: Sequence[tuple[float, ...]] = ()
         for number, (stamp, *names) in enumerate(_elements(heads, row)):
@@ -206,12 +204,14 @@ class TransformTopic:
             parent, child = (name.lstrip("/") for name in names)
             order = (row.position, number)
             if nearest.wants(child, stamp, order):
+                # The numbers of a message are read only if one of its transforms is wanted.
                 rest = rest or list(_elements(rests, row))
                 if not nearest.add(Sample(stamp, parent, child, rest[number], row.t, order)):
                     continue
             nearest.parents.add(parent)
 
     def _extractor(self, table: Table) -> tuple[Extractor, Extractor]:
+        """Return what reads stamps and names, and numbers; raises TypeMismatch."""
         if table.name not in self._extractors:
             definition = table.definition
             if definition is None or definition.kind != TRANSFORM_KIND:
@@ -229,6 +229,7 @@ class TransformTopic:
 
 
 def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
+    """Yield the fields of each transform in a message."""
     (lists,) = extractor.values(row)
     return zip(*lists)
 
