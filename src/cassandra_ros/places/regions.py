@@ -151,6 +151,7 @@ class Polygon:
                 yield number, share, share
 
     def _cuts(self, x: float, y: float, dx: float, dy: float) -> Iterator[float]:
+        """Yield the shares of a line at which it crosses a side, without its ends, in no order."""
         for (x0, y0), (x1, y1) in self._sides:
             side_x, side_y = x1 - x0, y1 - y0
             across = dx * side_y - dy * side_x

@@ -105,6 +105,7 @@ class Windows:
         return window
 
     def _read(self, number: int) -> PathWindow:
+        """Read the window with a number, and poses around it that connect to those inside."""
         low = number * TRACK_WINDOW_NS - LONGEST_GAP_NS
         high = (number + 1) * TRACK_WINDOW_NS - 1 + LONGEST_GAP_NS
         path = self._path(None, low, high)

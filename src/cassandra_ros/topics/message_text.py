@@ -63,6 +63,7 @@ class MessageText:
         return print_message(row.wire)
 
     def _print_of(self, table: TopicTable) -> _Print:
+        """Return the function that writes the messages of a table."""
         metadata, definition, as_json = table.metadata, table.definition, self._json
         too_long = AnswerBound(f"the text of a message of topic {metadata.topic}", _REMEDY).error
         if definition is None:

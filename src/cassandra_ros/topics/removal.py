@@ -153,6 +153,7 @@ def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us
 
 
 def _delete_series(space: Keyspace, series: _Series, until_us: int) -> None:
+    """Delete rows: three or more consecutive ones as a range, the others one by one."""
     for partition, row_series in series.items():
         table, node, where = partition
         ranges: list[list[_Key]] = []

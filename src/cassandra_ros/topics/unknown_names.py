@@ -66,6 +66,7 @@ def warn_of(reasons: Iterable[str]) -> list[str]:
 def _unknown_names(
     condition: Expression | None, tables: Sequence[Table], read: Read
 ) -> Iterator[str]:
+    """Yield the reason for each name in a condition that finds nothing."""
     runs = _distinct([table.runs for table in tables])
     events = _distinct([table.events for table in tables])
     for leaf in leaves(condition) if tables else ():

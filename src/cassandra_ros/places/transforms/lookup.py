@@ -177,6 +177,7 @@ class LookupErrors:
         return text
 
     def _absent(self, frame: str, frames: list[str], tree: FrameTree) -> str:
+        """Say that a frame is in no transform, with the similar ones of ``frames``, or all."""
         near = difflib.get_close_matches(frame, frames, n=3, cutoff=0.5)
         if near:
             hint = f"did you mean {' or '.join(near)}?"
@@ -210,6 +211,7 @@ class LookupErrors:
         return ""
 
     def _apart(self, tree: FrameTree) -> str:
+        """Say that no transforms connect the frames, and up to which frame each one leads."""
         target, source = (tree.climb(frame) for frame in self.frames)
         tops = [f"{way[0]} hangs on {way[-1]}" for way in (source, target) if len(way) > 1]
         how = f": {', '.join(tops)}" if tops else ""

@@ -56,6 +56,7 @@ def _facts(directory: Directory, tables: Sequence[TopicTable], read: Read) -> It
 
 
 def _bucket_facts(directory: Directory, table: TopicTable, read: Read) -> Iterator[str]:
+    """Yield the entries of buckets with final counts; of the others the messages are counted."""
     low, high = read.time_range
     ends = table.bucket_of(low), table.bucket_of(high)
     if table.metadata.own_time:

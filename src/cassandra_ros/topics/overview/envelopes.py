@@ -200,6 +200,7 @@ class EnvelopeReader:
                 yield _PieceEntry(piece, share, state if is_whole else None)
 
     def _key(self, entry: _PieceEntry, grid: Grid) -> object:
+        """Return the key of a piece in the cache; with other counts in the directory it is new."""
         piece = entry.piece
         where = self._keyspace.name, piece.table.name, *piece[1:], entry.state
         return self._request_key, grid.shift, where

@@ -108,6 +108,7 @@ class Latest:
     def _latched_before(
         self, t: int, since: int, sources: frozenset[Source] | None
     ) -> Sequence[StoredRow]:
+        """Return the latched messages at or before t of the runs that count."""
         if not self._latched.latches:
             return []
         if sources is None:

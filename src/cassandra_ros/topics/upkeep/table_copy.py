@@ -243,6 +243,7 @@ class TableCopy:
         return count
 
     def _check_equal(self, new: StoredRow, old: StoredRow) -> None:
+        """Raise WriteFailed if the copy of a message differs from it."""
         same = (new.received, new.conn) == (old.received, old.conn)
         if not same or new.wire != old.wire:
             raise WriteFailed(
