@@ -315,23 +315,31 @@ class Finder:
         raise problem or InvalidKey(f"{text!r:.80} is not a key")
 
 
-def refuse_units(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
-    """Raise InvalidKey for integers of ns that were meant in another unit.
+def unit_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:
+    """Return why an integer of ns was meant in another unit; '' = it was not.
 
-    They would match all messages, or none. They lie long before the first message of the tables; if
-    there is no message, none is refused.
+    It was if it lies long before the first message of the tables. Without a message it is not known
+    to be, and the result is '' too.
     """
+    if not other_unit(key, LAST_NS):  # nothing has to be read
+        return ""
+    timed = [table for table in tables if not table.named]
+    first = next(keyspace.rows.read(timed, Read(wanted=1)), None)
+    unit_text = "" if first is None else other_unit(key, first.t)
+    if first is None or not unit_text:
+        return ""
+    return (
+        f"{key} means nanoseconds since 1970, long before the first message of topic "
+        f"{first.topic}; {unit_text}"
+    )
+
+
+def refuse_units(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
+    """Raise InvalidKey for integers meant in another unit: they match all messages, or none."""
     for key in keys:
-        if not other_unit(key, LAST_NS):  # nothing has to be read
-            continue
-        timed = [table for table in tables if not table.named]
-        first = next(keyspace.rows.read(timed, Read(wanted=1)), None)
-        unit_text = "" if first is None else other_unit(key, first.t)
-        if first is not None and unit_text:
-            raise InvalidKey(
-                f"{key} means nanoseconds since 1970, long before the first message of topic "
-                f"{first.topic}; {unit_text}"
-            )
+        reason = unit_meant(keyspace, tables, key)
+        if reason:
+            raise InvalidKey(reason)
 
 
 def time_range_between(
