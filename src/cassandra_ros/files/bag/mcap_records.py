@@ -33,20 +33,24 @@ from cassandra_ros.messages.connection_header import Connection
 CHUNK_KIND, INDEX_KIND = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
 METADATA_KIND, END_KIND = int(Opcode.METADATA), int(Opcode.DATA_END)
 _HEAD_BYTES = MESSAGE.size - RECORD.size
+"""Size of the fields of a message record before the serialised message, bytes."""
 _SIZE_BYTES = 8
+"""Size of the field of a chunk with the size of its compressed records, bytes."""
 _LENGTH_BYTES = 4
 """Size of the length of a text or of a map, bytes."""
 _END_BYTES = 4
+"""Size of the content of a record DataEnd, bytes."""
 _OWN = b"cassandra_ros."
 """First bytes of the names of our metadata records."""
 MAX_METADATA_BYTES = 1 << 26
-"""Maximum size of a metadata record that is read, bytes."""
+"""Maximum size of a metadata record that is_plausible accepts, bytes."""
 
 
 class IndexedMessages(NamedTuple):
-    """The messages of one channel in a chunk."""
+    """The messages of one channel in a chunk, as a message index lists them."""
 
     channel: int
+    """Channel id."""
     times: Sequence[int]
     """Receive times, ns."""
 
@@ -79,18 +83,18 @@ def message_head(channel_id: int, sequence: int, t_ns: int, nbytes: int) -> byte
     return MESSAGE.pack(Opcode.MESSAGE, _HEAD_BYTES + nbytes, channel_id, sequence, t_ns, t_ns)
 
 
-def chunk(content: Sequence[bytes], nbytes: int, times: tuple[int, int], crc: int) -> list[bytes]:
-    """Return the parts of an uncompressed chunk.
+def chunk(content: bytes, times: tuple[int, int], crc: int) -> list[bytes]:
+    """Return the parts of an uncompressed chunk; the last part is ``content``, without a copy.
 
     Args:
-        content: The parts of its records.
-        nbytes: Their size, bytes.
+        content: Its records.
         times: Receive times of its first and its last message, ns.
         crc: CRC-32 of the records.
     """
+    nbytes = len(content)
     head = RECORD.pack(Opcode.CHUNK, CHUNK.size + _SIZE_BYTES + nbytes)
     size = nbytes.to_bytes(_SIZE_BYTES, "little")
-    return [head, CHUNK.pack(*times, nbytes, crc, 0), size, *content]
+    return [head, CHUNK.pack(*times, nbytes, crc, 0), size, content]
 
 
 def index(channel_id: int, entries: Sequence[int]) -> bytes:
@@ -108,7 +112,11 @@ def read_index(raw: bytes) -> IndexedMessages:
 
 
 def chunk_content(raw: bytes) -> tuple[bytes, int]:
-    """Return the records of an uncompressed chunk, without kind and length, and their CRC-32."""
+    """Return the records of an uncompressed chunk, and the CRC-32 that it states of them.
+
+    Args:
+        raw: The chunk without kind and length, of which is_plausible holds.
+    """
     return raw[CHUNK.size + _SIZE_BYTES :], CHUNK.unpack_from(raw)[3]
 
 
@@ -119,7 +127,10 @@ def read_metadata(raw: bytes, where: str) -> tuple[str, Mapping[str, str]]:
 
 
 def read_channels(content: bytes, where: str) -> dict[int, Connection]:
-    """Return the connections at the beginning of a chunk by channel id; raises BagError."""
+    """Return the connections before the first message of a chunk, by channel id; raises BagError.
+
+    They have no number: -1, as before they were written.
+    """
     schemas: dict[int, Schema] = {}
     connections: dict[int, Connection] = {}
     for record in records_of(content, where):
@@ -137,11 +148,12 @@ def read_channels(content: bytes, where: str) -> dict[int, Connection]:
 
 
 def is_plausible(kind: int, length: int, raw: bytes, after: int) -> bool:
-    """Say whether a record is one that these functions make, by its first bytes.
+    """Say whether a record outside of chunks may be one that these functions make.
 
     Args:
         kind, length: Kind and length of the record.
-        raw: At least the first 40 bytes after them, if it has so many.
+        raw: The bytes after these: all, or at least the first 40 and, of a record with a name,
+            those up to four bytes after the name.
         after: Number of bytes of the file after the record.
     """
     if kind == Opcode.CHUNK and length >= CHUNK.size + _SIZE_BYTES <= len(raw):
@@ -163,7 +175,10 @@ def is_plausible(kind: int, length: int, raw: bytes, after: int) -> bool:
 
 
 def _two_parts(raw: bytes) -> int:
-    """Return the length of a record of two parts, by the sizes before them; 0 = out of reach."""
+    """Return the length of a record of two parts, each after its size.
+
+    Return 0 if the first bytes of the record, ``raw``, do not reach the second size.
+    """
     first = int.from_bytes(raw[:_LENGTH_BYTES], "little")
     second = raw[_LENGTH_BYTES + first :][:_LENGTH_BYTES]
     return 2 * _LENGTH_BYTES + first + int.from_bytes(second, "little") if second else 0

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Iterable, Sequence, Tuple
 
 from cassandra_ros.files.bag import mcap_records
+from cassandra_ros.files.spool.spool_folder import open_private
 from cassandra_ros.files.spool.spool_label import (
     END,
     LABEL,
@@ -43,11 +44,14 @@ REPEAT_BYTES = 2 * 4096
 """Minimum distance between the second and the third copy of a channel, bytes: a damaged page of a
 disk does not hit both."""
 TOTALS_SHARE = 8
-"""Minimum size of what is written between two records of totals, in sizes of such a record."""
+"""Minimum size of what is written between two records of totals, as a multiple of such a record's
+size: totals take at most about an eighth of the file."""
 UNCOPIED_PART_BYTES = 1 << 18
-"""Size of a part from which it is not copied before it is written, bytes."""
+"""Size above which a part of a write is not joined with the other parts, bytes: that would copy it.
+"""
 SpooledMessage = Tuple[Connection, int, int, bytes]
-"""Connection, time of reception (ns), counter in its run, serialised message."""
+"""Connection, time of reception (ns), lower 32 bits of the counter in its run, serialised message.
+"""
 
 
 @dataclass
@@ -56,13 +60,19 @@ class _Definitions:
 
     records: list[bytes]
     due: int = 0
-    """Size of the file from which the next chunk repeats them, bytes."""
+    """Size of the file from which the next chunk repeats them, bytes; 0 = the next one does."""
     distance: int = 0
-    """Distance to the copy after that, bytes; 0 = they are in fewer than two chunks."""
+    """Distance from the last copy to the next one, bytes; 0 = they are in fewer than two chunks."""
     copies: int = 0
+    """Number of chunks that have them."""
 
     def repeated(self, size: int, least: int) -> None:
-        """Note a further copy: the next one comes at least ``least`` bytes after ``size``."""
+        """Note a further copy, and from the second one on when the next one is due.
+
+        Args:
+            size: Size of the file after this copy, bytes.
+            least: Minimum distance to the next copy, bytes.
+        """
         self.copies += 1
         if self.copies > 1:
             self.distance = max(2 * self.distance, least)
@@ -75,11 +85,11 @@ class SegmentWriter:
     Args:
         path: The file, which must not exist.
         label: The run of its messages.
-        totals: The messages in the files of the run before this one. They are counted on here; the
-            next file goes on with the same object. None = it is the only file.
+        totals: The messages in the files of the run before this one. This object adds those that it
+            writes; the caller gives the same object to the next file. None = it is the only file.
 
     Raises:
-        OSError: The disk is full, or fails.
+        OSError: The disk is full or fails, or the file exists. A new file is deleted.
     """
 
     def __init__(self, path: Path, label: SpoolLabel, totals: Totals | None = None) -> None:
@@ -90,13 +100,15 @@ class SegmentWriter:
         self.size = 0
         """Size of the file up to its last complete record, bytes."""
         self._numbers: dict[int, tuple[int, Connection]] = {}
-        """id of a connection → channel id, and the connection, which keeps the id from reuse."""
+        """id() of a connection → channel id, and the connection: while it is here, no other object
+        gets its id()."""
         self._topics: list[str] = []
         """Topic of each channel, in the order of their ids, which begin with 1."""
         self._definitions: list[_Definitions] = []
+        """One for each chunk with the first message of a connection."""
         self._definition_bytes = 0
         """Size of all schemas and channels of the file, bytes."""
-        self._file = open(path, "xb", buffering=0, opener=_private)  # noqa: SIM115
+        self._file = open(path, "xb", buffering=0, opener=open_private)  # noqa: SIM115
         try:
             head = mcap_records.metadata(LABEL, as_metadata(label))
             self._write([mcap_records.begin_file(), head, _record_of(self._totals)])
@@ -106,23 +118,25 @@ class SegmentWriter:
             raise
 
     def append(self, messages: Iterable[SpooledMessage]) -> None:
-        """Append messages as one chunk. After an OSError the file is as it was before."""
-        due = [
-            definition_set
-            for definition_set in self._definitions
-            if definition_set.due <= self.size
-        ]
-        parts = [record for definition_set in due for record in definition_set.records]
-        fresh: list[bytes] = []
-        at = sum(map(len, parts))
+        """Append messages, at least one, as one chunk.
+
+        Raises:
+            OSError: The disk is full, or fails. The file is as it was before, and the messages may
+                be appended again.
+        """
+        due = [definitions for definitions in self._definitions if definitions.due <= self.size]
+        parts = [record for definitions in due for record in definitions.records]
+        new_definitions: list[bytes] = []
+        at = sum(map(len, parts))  # offset of the next record in the chunk
         first, last = 2**63, 0
+        # Channel id → time of reception and offset of each message in turn, as an index has them.
         entries: defaultdict[int, list[int]] = defaultdict(list)
         added: Totals = {}
         for connection, t_ns, counter, wire in messages:
             numbered = self._numbers.get(id(connection))
             if numbered is None:
                 numbered = self._numbers[id(connection)] = len(self._numbers) + 1, connection
-                fresh.append(mcap_records.channel(*numbered))
+                new_definitions.append(mcap_records.channel(*numbered))
                 self._topics.append(connection.topic)
             number = numbered[0]
             entries[number] += t_ns, at
@@ -134,18 +148,19 @@ class SegmentWriter:
             times = times_and_offsets[::2]
             total = added.setdefault(self._topics[number - 1], TopicTotal())
             total.add(len(times), min(times), max(times))
-        if fresh:
-            shift = sum(map(len, fresh))
-            parts[:0] = fresh
+        if new_definitions:
+            # In front: a reader takes the channels at the beginning of a chunk only.
+            shift = sum(map(len, new_definitions))
+            parts[:0] = new_definitions
             at += shift
             for times_and_offsets in entries.values():
                 times_and_offsets[1::2] = [offset + shift for offset in times_and_offsets[1::2]]
-            # Also when the chunk cannot be written: the next one has them then.
-            self._definitions.append(_Definitions(fresh))
+            # Before the write: if that fails, the next chunk has them.
+            self._definitions.append(_Definitions(new_definitions))
             self._definition_bytes += shift
             due.append(self._definitions[-1])
         content = b"".join(parts)
-        chunk = mcap_records.chunk([content], at, (first, last), crc32(content))
+        chunk = mcap_records.chunk(content, (first, last), crc32(content))
         indexes = [
             mcap_records.index(number, times_and_offsets)
             for number, times_and_offsets in entries.items()
@@ -162,14 +177,15 @@ class SegmentWriter:
 
     @property
     def connections(self) -> int:
-        """Number of connections in the file."""
+        """Number of connections in the file. A channel id has 16 bits, so the caller limits it."""
         return len(self._numbers)
 
     def finish(self, end: RunEnd) -> None:
-        """Append the end of the run."""
+        """Append the end of the run; raises OSError as append. The caller closes the file then."""
         self._write([_record_of(self._totals), mcap_records.metadata(END, as_metadata(end))])
 
     def _write(self, parts: Sequence[bytes]) -> None:
+        """Write records to the end of the file, all or (after an OSError) none of them."""
         written = 0
         # Joined, small parts are one request to the system; a large one would be copied.
         pieces = parts if max(map(len, parts)) > UNCOPIED_PART_BYTES else [b"".join(parts)]
@@ -187,7 +203,10 @@ class SegmentWriter:
         self.size += written
 
     def sync(self) -> None:
-        """Write what was appended to the disk; note in the file's time that the run is alive."""
+        """Write what was appended to the disk, and set the file's time.
+
+        By this time a drain knows how long a recorder that was killed was alive.
+        """
         os.utime(self._file.fileno())
         os.fsync(self._file.fileno())
 
@@ -215,7 +234,3 @@ def _sum(totals: Totals, added: Totals) -> Totals:
 
 def _record_of(totals: Totals) -> bytes:
     return mcap_records.metadata(TOTALS, as_metadata(RunTotals.of(totals)))
-
-
-def _private(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)

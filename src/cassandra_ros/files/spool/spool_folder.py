@@ -32,6 +32,8 @@ _log = logging.getLogger(__name__)
 DEFAULT_BYTES = 2 << 30
 """Default maximum size of all files in the folder, bytes."""
 _LOCK, _SETTLED = "lock", "settled"
+"""Names of the file that is locked, and of the file with the notes of ``note_settled``: a line for
+each, with a checksum and JSON."""
 _SUFFIX = ".mcap"
 
 
@@ -41,28 +43,38 @@ def default_folder() -> Path:
 
 
 class RunFolder:
-    """The files of one run, locked by this process until ``release`` or ``remove``."""
+    """The files of one run, locked by this process until ``release`` or ``remove``.
+
+    Args:
+        path: The folder.
+        lock: File descriptor of the lock. This object closes it, which ends the lock.
+    """
 
     def __init__(self, path: Path, lock: int) -> None:
         self.path = path
         self._lock = lock
         self._next = 1 + max((int(file.stem) for file in self.files()), default=0)
+        """Number of the next file."""
         self._unnoted: list[str] = []
-        """Lines that no disk has taken yet."""
+        """Notes of ``note_settled`` that could not be written yet, because the disk was full."""
 
     def files(self) -> list[Path]:
         """Return the files with messages, in the order in which they were written."""
         return run_files(self.path)
 
     def is_empty(self) -> bool:
-        """Return whether it has no file with messages; False if it cannot be read."""
+        """Return whether it has no file with messages; False if that is not known.
+
+        The caller deletes an empty folder, so ``files``, which gives [] for a folder that cannot be
+        read, is not asked.
+        """
         try:
             return not any(path.suffix == _SUFFIX for path in self.path.iterdir())
         except OSError:
             return False
 
     def new_file(self) -> Path:
-        """Return the path of the next file."""
+        """Return the path of the next file, another one at each call. The caller makes the file."""
         self._next += 1
         return self.file(self._next - 1)
 
@@ -73,8 +85,10 @@ class RunFolder:
     def delete_file(self, path: Path, totals: Totals) -> None:
         """Delete a file of which each message is stored, or told as lost, and note that it was.
 
+        A file that cannot be deleted stays, with a warning.
+
         Args:
-            totals: The messages of the run up to its end.
+            totals: The messages of the run up to the end of this file.
         """
         self.note_settled(path, totals)
         try:
@@ -85,25 +99,32 @@ class RunFolder:
             self._write_notes()
 
     def note_settled(self, path: Path, totals: Totals) -> None:
-        """Note of a file that stays that only the messages which are in it now are to be stored."""
+        """Note that the messages of a file are accounted for, whether it is deleted or stays.
+
+        Of a file that stays a reader stores the messages that are in it, and takes none as missing.
+        If the disk is full, the note is written with the next one.
+
+        Args:
+            totals: The messages of the run up to the end of this file.
+        """
         text = json.dumps({"file": int(path.stem), **asdict(RunTotals.of(totals))})
         # Each line begins anew: a full disk may have taken a part of the last one.
         self._unnoted.append(f"\n{crc32(text.encode()):08x} {text}\n")
         self._write_notes()
 
     def _write_notes(self) -> None:
-        with suppress(OSError), open(self.path / _SETTLED, "a", opener=_private) as file:
+        with suppress(OSError), open(self.path / _SETTLED, "a", opener=open_private) as file:
             file.write("".join(self._unnoted))
             file.flush()
-            # Before the file is deleted: else it seems to be missing after a power cut.
+            # The file is deleted next: after a power cut it would seem to be missing.
             os.fsync(file.fileno())
             self._unnoted.clear()
 
     def settled(self) -> dict[int, Totals]:
-        """Return the numbers of the files that were settled, and the totals at their ends.
+        """Return the totals of each ``note_settled``, by the number of the file.
 
         Raises:
-            SpoolError: It cannot be read which they are.
+            SpoolError: The notes cannot be read. A damaged line is left out.
         """
         path = self.path / _SETTLED
         try:
@@ -129,7 +150,7 @@ class RunFolder:
             os.close(lock)
 
     def remove(self) -> None:
-        """Delete it with all files."""
+        """Delete the folder with all files, and release the lock."""
         shutil.rmtree(self.path, ignore_errors=True)
         self.release()
 
@@ -149,6 +170,9 @@ class SpoolFolder:
     def begin(self, writer: int) -> RunFolder:
         """Make and lock the folder of a run.
 
+        Args:
+            writer: Writer id of the run: the name of the folder.
+
         Raises:
             SpoolError: The folder cannot be made.
         """
@@ -158,7 +182,7 @@ class SpoolFolder:
             own_folder(self.path)
             hidden.mkdir(mode=0o700)
             lock = _lock_folder(hidden)
-            # Under its name only when it is locked: else others would take it for left.
+            # It gets its name when it is locked: before, ``left`` of another process would take it.
             hidden.rename(path)
         except OSError as exc:
             raise SpoolError(f"the spool {self.path} cannot be used: {exc}") from exc
@@ -169,7 +193,10 @@ class SpoolFolder:
         return RunFolder(path, lock)
 
     def left(self) -> Iterator[RunFolder]:
-        """Yield the folders of runs whose process has ended, locked; oldest first."""
+        """Yield the folders of runs whose process has ended, locked; oldest first.
+
+        The caller releases or removes each.
+        """
         for path in self.runs():
             lock = None
             with suppress(OSError):
@@ -178,7 +205,10 @@ class SpoolFolder:
                 yield RunFolder(path, lock)
 
     def runs(self) -> list[Path]:
-        """Return the folders of all runs, also of those that are recorded now; oldest first."""
+        """Return the folders of all runs, also of those that are recorded now; oldest first.
+
+        Return [] if one of them cannot be read, as when another process deletes it meanwhile.
+        """
         try:
             folders = [folder for folder in self.path.iterdir() if folder.name.isdigit()]
             return sorted(folders, key=lambda path: path.stat().st_ctime)
@@ -209,18 +239,25 @@ def run_files(path: Path) -> list[Path]:
 
 
 def _lock_folder(path: Path) -> int | None:
-    """Lock a folder; return the file descriptor of the lock, None if another process holds it."""
+    """Lock a folder; return the file descriptor of the lock.
+
+    Return None if another process holds it, or has deleted the folder meanwhile.
+
+    Raises:
+        OSError: The file of the lock cannot be made or locked.
+    """
     try:
         descriptor = lock_own(path / _LOCK)
     except BlockingIOError:
         return None
     with suppress(OSError):
-        # Another process may have removed it meanwhile.
+        # The file that we locked may have been deleted before: then the lock says nothing.
         if (path / _LOCK).stat().st_ino == os.fstat(descriptor).st_ino:
             return descriptor
     os.close(descriptor)
     return None
 
 
-def _private(path: str, flags: int) -> int:
+def open_private(path: str, flags: int) -> int:
+    """Open a file, as an ``opener`` of open; a new one is for its owner alone (mode 600)."""
     return os.open(path, flags, 0o600)

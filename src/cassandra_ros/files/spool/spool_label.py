@@ -14,7 +14,8 @@ from cassandra_ros.errors import SpoolError
 VERSION = 1
 """Version of the files that this release writes, and the only one that it reads."""
 LABEL, END, TOTALS = "cassandra_ros.files.spool", "cassandra_ros.end", "cassandra_ros.totals"
-"""Names of the metadata records with a SpoolLabel, a RunEnd and RunTotals."""
+"""Names of the metadata records with a SpoolLabel, a RunEnd and RunTotals. They are in the files;
+by their beginning ``mcap_records.is_plausible`` knows our records."""
 _T = TypeVar("_T", "SpoolLabel", "RunEnd", "RunTotals")
 
 
@@ -23,9 +24,9 @@ class SpoolLabel:
     """The run of the messages in a file, as far as a drain must know it."""
 
     writer: int
-    """Writer id of the messages."""
+    """Writer id of the messages in this file."""
     run: int
-    """Writer id of the run; another one only after 2**32 messages."""
+    """Writer id of the run. The messages have another one only after the first 2**32 of the run."""
     keyspace: str
     address: str
     """Hosts and port of the store, 'HOST[,HOST]:PORT'; '' = not known."""
@@ -64,7 +65,9 @@ class TopicTotal:
 
     count: int = 0
     first_ns: int = 2**63
+    """Time of reception of the first of them, ns; 2**63 while there are none."""
     last_ns: int = 0
+    """Time of reception of the last of them, ns; 0 while there are none."""
 
     def add(self, count: int, first_ns: int, last_ns: int) -> None:
         """Count further messages."""
@@ -74,18 +77,18 @@ class TopicTotal:
 
 
 Totals = Dict[str, TopicTotal]
-"""Topic → its messages in the files of a run up to some place."""
+"""Topic → its messages in the files of a run, from the first file to some place in one of them."""
 
 
 @dataclass(frozen=True)
 class RunTotals:
-    """The messages that were written to the files of a run up to this place.
+    """The messages that were written to the files of a run up to the place of this record.
 
     By them a reader sees how many messages the damaged and missing parts before it had.
     """
 
     topics: Mapping[str, Sequence[int]]
-    """Topic → number of messages, first and last time of reception, ns."""
+    """Topic → the fields of TopicTotal in their order."""
     version: int = VERSION
 
     @classmethod
@@ -94,7 +97,7 @@ class RunTotals:
         return cls({t: (n.count, n.first_ns, n.last_ns) for t, n in totals.items()})
 
     def totals(self) -> Totals:
-        """Return the totals by topic, as objects of the caller's own."""
+        """Return the totals as new objects, which the caller may change."""
         return {topic: TopicTotal(*numbers) for topic, numbers in self.topics.items()}
 
 
@@ -110,7 +113,12 @@ def is_whole(metadata: Mapping[str, str]) -> bool:
 
 
 def from_metadata(kind: type[_T], metadata: Mapping[str, str], where: str) -> _T:
-    """Return the label, the end or the totals in a metadata record that is whole.
+    """Return the label, the end or the totals in a metadata record.
+
+    Args:
+        kind: SpoolLabel, RunEnd or RunTotals, by the name of the record.
+        metadata: Fields of the record. The caller has checked them with is_whole.
+        where: Name of the file in the error text.
 
     Raises:
         SpoolError: It is of another version.
