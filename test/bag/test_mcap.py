@@ -226,7 +226,7 @@ def test_a_chunk_that_is_passed_over_is_missed(tmp_path):
     """A record of unknown kind, as after damage or from a later version of the format."""
     whole = bytearray(foreign(tmp_path / "a.mcap").read_bytes())
     with open(tmp_path / "a.mcap", "rb") as file:
-        first = next(r for r in walk(file, "") if r.kind == Opcode.CHUNK)
+        first = next(r for r in walk(file) if r.kind == Opcode.CHUNK)
     whole[first.start - RECORD.size] = 0x7F
     (tmp_path / "a.mcap").write_bytes(whole)
     with pytest.raises(BagError, match=r"of the 40 messages that it should hold \d+ are found"):
@@ -270,7 +270,7 @@ def test_a_footer_that_points_nowhere_is_damage(tmp_path, place):
     path = foreign(tmp_path / "a.mcap")
     whole = bytearray(path.read_bytes())
     with open(path, "rb") as file:
-        footer = next(r for r in walk(file, "") if r.kind == Opcode.FOOTER)
+        footer = next(r for r in walk(file) if r.kind == Opcode.FOOTER)
     whole[footer.start : footer.start + 8] = place.to_bytes(8, "little")
     path.write_bytes(whole)
     with pytest.raises(BagError, match="the crc of its summary is wrong"):

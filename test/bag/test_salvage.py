@@ -141,7 +141,7 @@ def long_mcap(path, compression):
 
 def mcap_chunks(path):
     with open(path, "rb") as file:
-        return [(r.start + 60, r.stop) for r in walk(file, "") if r.kind == Opcode.CHUNK]
+        return [(r.start + 60, r.stop) for r in walk(file) if r.kind == Opcode.CHUNK]
 
 
 MAKERS = {

@@ -43,11 +43,14 @@ class IndexPlace(NamedTuple):
     """The position of the index records in a file, and their number."""
 
     file: BinaryIO
+    """The bag, or the file in which read_salvage has made the index anew."""
     position: int
+    """Offset in ``file`` at which the connection records begin; chunk info records follow."""
     data_end: int
     """Offset in the bag before which all its chunks begin, bytes."""
     connections: int
     chunks: int
+    """Number of records of each kind."""
 
 
 class BagIndex:
@@ -70,9 +73,9 @@ class BagIndex:
         """Connection id in the file -> topic, and why its messages are left out."""
         self._unusable_counts: Counter[int] = Counter()
         """Number of messages of these connections, by connection id in the file."""
-        # For each chunk: position, start_ns, end_ns, position of its chunk info record, number of
-        # messages in the chunks before it.
         self._chunks = array("Q")
+        """For each chunk five numbers: position, start_ns, end_ns, position of its chunk info
+        record, number of messages in the chunks before it. A list would take much more memory."""
         place = place or _find_index(file, path)
         self._index, self.chunk_count = place.file, place.chunks
         self._data_end = place.data_end
@@ -89,9 +92,11 @@ class BagIndex:
         self.end_ns = max(self._column(2), default=0)
 
     def _chunk(self, number: int) -> array[int]:
+        """Return the five numbers of a chunk, see _chunks."""
         return self._chunks[number * _PER_CHUNK : (number + 1) * _PER_CHUNK]
 
     def _column(self, place: int) -> array[int]:
+        """Return one of these numbers of all chunks."""
         return self._chunks[place::_PER_CHUNK]
 
     def chunk_info(self, chunk: int) -> ChunkInfo:
@@ -107,6 +112,11 @@ class BagIndex:
         return start_ns, end_ns
 
     def _read_connections(self, count: int) -> None:
+        """Read connection records at the file position; number the connections.
+
+        Raises:
+            BagError: A record is damaged, or two have one id and are not equal.
+        """
         header_of: dict[int, tuple[str, bytes]] = {}
         where = f"{self.path}: a connection in the index"
         for _ in range(count):
@@ -120,10 +130,10 @@ class BagIndex:
         # them by connection number. If the records are not in the order of their ids, the
         # position of the record becomes the number.
         ascending = list(header_of) == sorted(header_of)
-        for place, (number, (topic, header)) in enumerate(header_of.items()):
-            kept = self.numbers[number] = number if ascending else place
-            if number not in self._unusable:
-                self.connections[kept] = Connection(topic, header, kept)
+        for place, (file_id, (topic, header)) in enumerate(header_of.items()):
+            number = self.numbers[file_id] = file_id if ascending else place
+            if file_id not in self._unusable:
+                self.connections[number] = Connection(topic, header, number)
 
     def _check(self, fields: bagformat.Fields, number: int, header: bytes) -> str:
         """Return the topic of a connection record; note if its messages have to be left out."""
@@ -135,6 +145,11 @@ class BagIndex:
             return topic
 
     def _read_chunk_infos(self) -> None:
+        """Read the chunk info records at the file position into _chunks, in their order.
+
+        Raises:
+            BagError: A record is damaged, or there are more than the bag's header counts.
+        """
         for _ in range(self.chunk_count):
             info_pos = self._index.tell()
             info, left_out = self._read_chunk_info(f"{self.path}: a chunk info in the index")
@@ -185,7 +200,7 @@ class BagIndex:
         return ChunkInfo(position, start_ns, end_ns, counts, 0), unusable
 
     def _data(self, data_bytes: int, where: str) -> bytes:
-        """Read the data of an index record."""
+        """Read the data of an index record; raises BagError if they are too large."""
         if data_bytes > bagformat.MAX_CONNECTION_BYTES:
             raise BagError(
                 f"{where} is damaged: it has {data_bytes} bytes, of which at most "
@@ -194,6 +209,11 @@ class BagIndex:
         return self._index.read(data_bytes)
 
     def _sort_chunks(self, data_end: int) -> None:
+        """Sort _chunks by their positions in the file, and count the messages before each.
+
+        Raises:
+            BagError: A chunk lies outside of the data, or two have one position.
+        """
         positions = self._column(0)
         chunks, before, last = array("Q"), 0, len(bagformat.MAGIC)
         for place in sorted(range(len(positions)), key=positions.__getitem__):
@@ -207,7 +227,12 @@ class BagIndex:
 
 
 def _find_index(file: BinaryIO, name: str) -> IndexPlace:
-    """Return the position of the index that the header of a bag states."""
+    """Return the position of the index that the header of a bag states.
+
+    Raises:
+        BagUnindexed: The bag has no index, or is cut short before it.
+        BagError: As in read_start, or the position is wrong.
+    """
     record, file_bytes = read_start(file, name), os.fstat(file.fileno()).st_size
     where = f"{name}: the header"
     index_pos, connections, chunks = (
@@ -306,20 +331,28 @@ class _BagDamage(NamedTuple):
     """Damage of a bag."""
 
     why: str
+    """Description, see SalvageReport."""
     at: int
     """Offset in the file of the first byte that cannot be read."""
 
 
 _CHUNK_OP = b"\x04\0\0\0op=" + bytes([bagformat.OP_CHUNK])
+"""The field ``op`` in the header of a chunk, by which chunks are found after damage."""
 _BEFORE_OP = (0, 13, 19, 20, 32, 33)
-"""Sizes of the fields that may stand before ``op`` in the header of a chunk, bytes."""
+"""Sizes of the fields that may stand before ``op`` in the header of a chunk, bytes: none, ``size``
+(13), ``compression`` (19 for bz2 and lz4, 20 for none), or both."""
 _CHUNK_HEADER_BYTES = 64
 """Maximum size of the header of a chunk that is searched for, bytes: three fields."""
 _SEARCH_BYTES = 1 << 20
+"""Number of bytes that are searched at once."""
 
 
 def _find_chunk(file: BinaryIO, position: int) -> int | None:
-    """Return the offset of the next record of a chunk, from an offset on; None = no chunk."""
+    """Return the offset of the next record of a chunk, from an offset on; None = no chunk.
+
+    Args:
+        position: Offset from which on chunks are searched. The file position changes.
+    """
     size, overlap = os.fstat(file.fileno()).st_size, len(_CHUNK_OP) - 1
     for start in range(position, size, _SEARCH_BYTES):
         file.seek(start)
@@ -333,7 +366,7 @@ def _find_chunk(file: BinaryIO, position: int) -> int | None:
 
 
 def _is_chunk(file: BinaryIO, position: int) -> bool:
-    """Return whether the record at an offset has the header of a chunk."""
+    """Return whether there is a record with the header of a chunk at an offset."""
     file.seek(position)
     raw = file.read(bagformat.U32.size + _CHUNK_HEADER_BYTES)
     size = int.from_bytes(raw[: bagformat.U32.size], "little")
@@ -358,12 +391,13 @@ def _readable_records(
 
     Args:
         connections: Known connection records by connection id; those of the chunk are added.
-        count: Counts the records; a record that it refuses is damage.
+        count: Counts the records; a record that it refuses ends the reading as damage does.
         start_ns, end_ns: A message at another time is damage.
 
     Returns:
-        Offset of the damage in the content, first and last time of the messages before it, ns, and
-        the number of these messages by connection id.
+        Offset of the damage in the content (its size if there is none); first and last time of the
+        messages before it, ns (2**63 and 0 if there are none); the number of these messages by
+        connection id.
     """
     counts: Counter[int] = Counter()
     position, times = 0, [2**63, 0]
@@ -398,12 +432,16 @@ class _Scan:
     connections: dict[int, bytes] = field(default_factory=dict)
     """Connection record by connection id in the file."""
     infos: list[bytes] = field(default_factory=list)
-    """Chunk info records."""
+    """Chunk info records of the chunks with messages that can be read, in the order of the file."""
 
     def run(self) -> None:
         """Collect connections and chunks up to the index or the end of the file.
 
-        After damage this goes on at the next chunk, but not after one that is too large.
+        After damage this goes on at the next chunk, but not after one that is too large. The result
+        is in the fields; ``salvaged.why`` is never empty then.
+
+        Raises:
+            BagError: The file is not a bag of format 2.0, or it is encrypted.
         """
         start, size = read_start(self.file, self.path), os.fstat(self.file.fileno()).st_size
         self._read_connections()
@@ -441,7 +479,11 @@ class _Scan:
             self.salvaged.add("has no index, because it was not closed")
 
     def _read_connections(self) -> None:
-        """Read the connections in the index, if there is one: a chunk has only those new in it."""
+        """Read the connections in the index, as far as it can be read.
+
+        A recorder writes a connection only into the first chunk with a message of it: if that is
+        damaged, the index alone has it.
+        """
         with suppress(BagError):
             place = _find_index(self.file, self.path)
             self.file.seek(place.position)
@@ -456,11 +498,23 @@ class _Scan:
                 self.connections[number] = self.file.read(nbytes)
 
     def _length(self) -> int:
+        """Read the length of the data that follow; 2**32, which is too large, at the file's end."""
         raw = self.file.read(4)
         return int(bagformat.U32.unpack(raw)[0]) if len(raw) == 4 else 2**32
 
     def _chunk(self, position: int, fields: bagformat.Fields, size: int) -> _BagDamage | None:
-        """Collect the messages of a chunk up to the damage, if there is any."""
+        """Collect the messages of a chunk up to the damage; return the damage, None = none.
+
+        Args:
+            position: Offset of the chunk. The file position is after its header, and later after
+                its data.
+            fields: Its header.
+            size: Size of the file, bytes.
+
+        Raises:
+            BagTooLarge: The allowance refuses the chunk.
+            BagError: Its header has no valid size.
+        """
         where = f"{self.path}: chunk {len(self.infos) + 1}"
         compression = fields.get(b"compression", b"").decode("utf-8", "replace")
         declared = bagformat.number(fields, b"size", where)
@@ -498,6 +552,7 @@ class _Scan:
 
 
 def _chunk_info(position: int, times: list[int], counts: Counter[int]) -> bytes:
+    """Return the chunk info record of a chunk, with what _readable_records has found in it."""
     return bagformat.pack_record(
         (
             (b"op", bagformat.OP_CHUNK_INFO),
@@ -524,7 +579,7 @@ def read_salvage(
     """
     scan = _Scan(file, path, allowance)
     scan.run()
-    if not scan.infos and scan.salvaged.why:
+    if not scan.infos:
         raise BagError(f"{path} {scan.salvaged.why}: there is no message that can be salvaged")
     connections = [record for _, record in sorted(scan.connections.items())]
     index = tempfile.TemporaryFile()
@@ -585,11 +640,11 @@ class BagReader(BagIndex, MessageFile):
             raise BagError(f"{name} cannot be read: {exc.strerror}") from exc
 
     def _begin(self, file: BinaryIO, name: str, place: IndexPlace | None = None) -> None:
-        """Read the index."""
+        """Read an index, and begin to count anew; ``_salvage`` may call it a second time."""
         super().__init__(file, name, place)
         self._allowance = Allowance(os.fstat(file.fileno()).st_size, self._large_chunks)
         self._counted = bytearray(self.chunk_count)
-        """One byte per chunk: 1 = the allowance has counted it, so not counted again."""
+        """One byte per chunk: 1 = the allowance has counted its size, which it does only once."""
         self._records_counted = bytearray(self.chunk_count)
         """The same for the records of each chunk."""
 
@@ -598,6 +653,12 @@ class BagReader(BagIndex, MessageFile):
 
         The own index gives the messages after the damage the positions that they have in the
         undamaged bag, so that they are the same rows as those of an import without salvage.
+
+        Args:
+            opened: Closes the file of a new index, if opening the bag fails.
+
+        Raises:
+            BagError: As read_salvage.
         """
         try:
             self._begin(file, name)
@@ -606,7 +667,7 @@ class BagReader(BagIndex, MessageFile):
             allowance = Allowance(os.fstat(file.fileno()).st_size, self._large_chunks)
             self.salvaged, place = read_salvage(file, name, allowance)
             opened.enter_context(place.file)
-            self._cut_counts.clear()
+            self._cut_counts.clear()  # of the chunks of the bag's own index
             self._begin(file, name, place)
         self.salvaged.messages = self.message_count
         if self.salvaged.why and not self.message_count:
@@ -646,7 +707,8 @@ class BagReader(BagIndex, MessageFile):
     def _readable_part(self, chunk: int, end: int) -> tuple[CutChunk, dict[int, int]]:
         """Find the messages before the damage in a chunk, which ends before an offset in the file.
 
-        Return the part of the chunk, and the number of its messages by connection number.
+        Return the part of the chunk, and the number of its messages by connection number; -1 stands
+        for connections that the index does not have.
         """
         start_ns, end_ns = self.chunk_times(chunk)
         try:
@@ -666,13 +728,13 @@ class BagReader(BagIndex, MessageFile):
         return CutChunk(compression, data_pos, data_bytes, stop), numbered
 
     def _allow(self, chunk: int, compression: str, size: int, data_bytes: int) -> None:
-        """Count the unpacked size of a chunk, once; raises BagTooLarge."""
+        """Count the unpacked size of a chunk, unless that was done; raises BagTooLarge."""
         if not self._counted[chunk]:
             self._allowance.count_chunk(compression, size, data_bytes, self._where(chunk))
             self._counted[chunk] = 1
 
     def chunk_info(self, chunk: int) -> ChunkInfo:
-        """Read the index entry of a chunk, see MessageFile."""
+        """Read the index entry of a chunk, see MessageFile; of a damaged one what can be read."""
         info = super().chunk_info(chunk)
         return info._replace(counts=self._cut_counts.get(chunk, info.counts))
 
@@ -687,6 +749,7 @@ class BagReader(BagIndex, MessageFile):
 
     def chunk_content(self, chunk: int) -> tuple[bytes, bagformat.ChunkMessages]:
         """Read a chunk. Return its content and the list of its messages, see MessageFile."""
+        # From _chunk_header on, each read begins where the one before it has ended.
         where, counts = self._where(chunk), self.chunk_info(chunk).counts
         compression, size, data_bytes = self._chunk_header(chunk)
         if compression == "none" and size != data_bytes:
@@ -725,10 +788,13 @@ class BagReader(BagIndex, MessageFile):
         return content, messages._replace(ids=ids)
 
     def _offsets(self, counts: Mapping[int, int]) -> bagformat.Longs | None:
-        """Read the offsets of messages from the index records at the current file position.
+        """Read the offsets of messages from the index records at the file position, ascending.
 
         Return None if they do not list all messages of the chunk, or if searching the chunk for
         its messages is faster.
+
+        Args:
+            counts: Number of messages of the chunk by connection: one index record for each.
         """
         count = sum(counts.values())
         if count < bagformat.MIN_AT_ONCE * max(1, len(counts)):
@@ -747,6 +813,14 @@ class BagReader(BagIndex, MessageFile):
         return np.sort(offsets) if len(offsets) == count else None
 
     def _chunk_header(self, chunk: int) -> tuple[str, int, int]:
+        """Read the header of a chunk, and stop before its data.
+
+        Return the compression, the size of the content and the size of the data, bytes. Of a
+        damaged chunk the second is not known: it is that of the data.
+
+        Raises:
+            BagError: The header is damaged.
+        """
         where, cut = self._where(chunk), self.salvaged.cuts.get(chunk)
         if cut is not None:
             self._file.seek(cut.data_pos)

@@ -19,7 +19,10 @@ from cassandra_ros.keys import SECOND_NS
 BAG_CHUNK_BYTES = 768 * 1024
 """Size of a chunk's content above which the chunk is closed, bytes; the default of rosbag."""
 _ENTRY = Struct("<III")
-_SPOOL_BYTES = 1 << 20
+"""Entry of an index record: seconds, nanoseconds, offset of the message in its chunk."""
+_INFO_BYTES = 1 << 20
+"""Size of the chunk info records above which they wait on disk, and that is copied at once, bytes.
+"""
 
 
 class BagWriter(FileWriter):
@@ -47,12 +50,14 @@ class BagWriter(FileWriter):
         self._compression = compression
         self._chunk_bytes = chunk_bytes
         self._used: set[int] = set()
+        """Numbers of the connections that have messages; the index lists only these."""
         self._chunk = bytearray()
         # Connection number -> time and offset of each message in the open chunk, for its index.
         self._entries: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._chunk_count = 0
-        spool = tempfile.SpooledTemporaryFile(_SPOOL_BYTES)
-        self._infos: IO[bytes] = self._resources.enter_context(spool)
+        infos = tempfile.SpooledTemporaryFile(_INFO_BYTES)
+        self._infos: IO[bytes] = self._resources.enter_context(infos)
+        """Chunk info records, which follow all chunks in the file."""
         self._file.write(bagformat.MAGIC + self._file_header(0))
 
     def write(
@@ -75,12 +80,17 @@ class BagWriter(FileWriter):
         for number in sorted(self._used):
             self._file.write(self._connection_record(number))
         self._infos.seek(0)
-        for infos in iter(lambda: self._infos.read(_SPOOL_BYTES), b""):
+        for infos in iter(lambda: self._infos.read(_INFO_BYTES), b""):
             self._file.write(infos)
         self._file.seek(len(bagformat.MAGIC))
         self._file.write(self._file_header(index_pos))
 
     def _file_header(self, index_pos: int) -> bytes:
+        """Return the first record, always of FILE_HEADER_BYTES: ``_finish`` overwrites it.
+
+        Args:
+            index_pos: Offset of the index; 0 = the bag is not complete.
+        """
         counts = (len(self._used), self._chunk_count) if index_pos else (0, 0)
         fields = (
             (b"op", bagformat.OP_FILE_HEADER),
@@ -98,6 +108,7 @@ class BagWriter(FileWriter):
         return bagformat.pack_record(fields, connection.header)
 
     def _flush_chunk(self) -> None:
+        """Write the open chunk with its index records, and begin a new one; raises BagError."""
         compression, size = self._compression.encode("ascii"), len(self._chunk)
         header = ((b"op", bagformat.OP_CHUNK), (b"compression", compression), (b"size", size))
         data = bagformat.compress_chunk(self._compression, bytes(self._chunk))
@@ -114,6 +125,7 @@ class BagWriter(FileWriter):
         self._entries.clear()
 
     def _info_record(self, position: int) -> bytes:
+        """Return the chunk info record of the open chunk, which begins at a file offset."""
         times = [t_ns for entries in self._entries.values() for t_ns, _ in entries]
         fields = (
             (b"op", bagformat.OP_CHUNK_INFO),

@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 MCAP_ENDING = ".mcap"
 _ENDINGS = (".bag", MCAP_ENDING)
 _UNFINISHED = ".active"
+"""What recorders, and FileWriter, append to the name of a file until it is closed."""
 
 
 def files_of(
@@ -37,16 +38,16 @@ def files_of(
     Args:
         recursive: Also list the files of subfolders; links to folders are not followed.
         unfinished: Also list files named *.active, which a recorder has not closed.
-        unreadable: Called for each folder that cannot be listed; None = BagError.
+        unreadable: Called for each folder that cannot be listed; None = BagError. If it is given,
+            [] may be returned.
 
     Raises:
         BagError: The folder holds no bag or MCAP file, or a folder cannot be listed.
     """
     if not os.path.isdir(path) or os.path.exists(os.path.join(path, ROSBAG2_METADATA)):
         return [path]
-    endings = tuple(
-        ending + more for ending in _ENDINGS for more in ("", _UNFINISHED)[: 1 + unfinished]
-    )
+    suffixes = ("", _UNFINISHED) if unfinished else ("",)
+    endings = tuple(ending + suffix for ending in _ENDINGS for suffix in suffixes)
     problems: list[OSError] = []
     folders = os.walk(path, onerror=problems.append)
     files = [
@@ -114,6 +115,10 @@ def runs_of_content(runs: Sequence[Run], path: str) -> list[Run]:
     """Return the imports of a file by its content, under whatever name; [] = it was not imported.
 
     The file is read to its end. One that is not a bag, or damaged, is the content of no run.
+
+    Args:
+        runs: The runs among which the imports are searched.
+        path: The file; for a path that is not a file there is no run.
     """
     if not any(run.kind == "import" for run in runs) or not os.path.isfile(path):
         return []

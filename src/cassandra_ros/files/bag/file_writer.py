@@ -44,6 +44,7 @@ class FileWriter(ABC):
         self.path = os.fspath(path)
         self._active = self.path + ".active"
         self._connections: dict[int, Connection] = {}
+        """Connections that were added, by number, also those without messages yet."""
         self._resources = ExitStack()
         """Further files that are closed together with this one."""
         self._closed = False
@@ -86,6 +87,7 @@ class FileWriter(ABC):
         """Append a serialised message of a connection, received at t_ns, ns since 1970.
 
         Args:
+            number: Number that ``connection`` has returned.
             delay_ns: publish_time minus t_ns, ns, modulo 2**64; may be negative. Only an MCAP
                 stores it.
             sequence: Sequence number that the publisher gave, 0 = unknown. Only an MCAP stores it.
@@ -97,6 +99,8 @@ class FileWriter(ABC):
     @abstractmethod
     def _finish(self) -> None:
         """Write the end of the file: its index.
+
+        ``close`` calls it once, and deletes the file after an error.
 
         Raises:
             OSError, BagError: The disk is full or fails.

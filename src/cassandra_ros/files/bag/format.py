@@ -64,15 +64,24 @@ NewFields = Iterable[Tuple[bytes, Union[bytes, int]]]
 
 
 class BagRecord(NamedTuple):
-    """The header of a record in a file, and the position and size of its data, bytes."""
+    """The header of a record in a file, and where its data lie."""
 
     fields: Fields
     data_pos: int
+    """Offset in the file at which the data begin."""
     data_bytes: int
+    """Size of the data, bytes; the file has so many."""
 
 
 def split_fields(header: bytes, where: str) -> Fields:
-    """Parse a header (without its length). If a name occurs twice, the last value counts."""
+    """Parse a header (without its length). If a name occurs twice, the last value counts.
+
+    Args:
+        where: Name of the record in the error text.
+
+    Raises:
+        BagError: The header is damaged.
+    """
     fields: Fields = {}
     position, end = 0, len(header)
     while position < end:
@@ -87,7 +96,7 @@ def split_fields(header: bytes, where: str) -> Fields:
 
 
 def pack_fields(fields: NewFields) -> bytes:
-    """Return a header (without its length) with these fields."""
+    """Return a header (without its length) with these fields; a number has the size in _WIDTHS."""
     parts = []
     for name, value in fields:
         raw = value.to_bytes(_WIDTHS[name], "little") if isinstance(value, int) else value
@@ -136,7 +145,7 @@ def read_record(file: BinaryIO, op: int, where: str) -> BagRecord:
 
     Raises:
         BagUnindexed: The file ends inside the record.
-        BagError: The record is not of the kind ``op``.
+        BagError: The record is damaged, or not of the kind ``op``.
     """
     start = file.tell()
     fields = read_header(file, where)
@@ -148,12 +157,20 @@ def read_record(file: BinaryIO, op: int, where: str) -> BagRecord:
 
 
 def read_header(file: BinaryIO, where: str) -> Fields:
-    """Read the header of the record at the current file position; errors as in read_record."""
+    """Read the header of the record at the current file position, and stop after it.
+
+    What follows is the length of the data. Errors as in read_record.
+    """
     return split_fields(file.read(_length(file, where, MAX_HEADER_BYTES)), where)
 
 
 def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
-    """Read the length of the header or data that follows, and check that the file is so long."""
+    """Read the length of the header or data that follows, bytes.
+
+    Raises:
+        BagUnindexed: The file ends before the end of what follows.
+        BagError: The length is more than ``most``.
+    """
     raw, file_bytes = file.read(4), os.fstat(file.fileno()).st_size
     length = U32.unpack(raw)[0] if len(raw) == 4 else 0
     if length > most:
@@ -168,6 +185,7 @@ def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
 
 
 COMPRESSIONS = ("none", "bz2", "lz4")
+"""Compressions of chunks, as their headers name them."""
 _FEED_BYTES = 1 << 16
 """Number of compressed bytes given to the decompressor at once."""
 _PIECE_BYTES = 1 << 24
@@ -216,6 +234,7 @@ def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
 
 
 def _unpack(name: str, data: bytes, size: int, where: str) -> bytes:
+    """Return the unpacked content; raises BagError if it is damaged or longer than ``size``."""
     content = BytesIO()  # it grows in place, so the content is never in memory twice
     try:
         for piece in _pieces(name, data):
@@ -230,7 +249,10 @@ def _unpack(name: str, data: bytes, size: int, where: str) -> bytes:
 
 
 def _pieces(name: str, data: bytes) -> Iterator[bytes]:
-    """Unpack a chunk in pieces, so that the caller can stop before it fills the memory."""
+    """Unpack a chunk of bz2 or lz4 in pieces, so that the caller can stop before memory is full.
+
+    Damaged data raise one of _DAMAGE; data that are cut short end without an error.
+    """
     parts = (data[n : n + _FEED_BYTES] for n in range(0, len(data), _FEED_BYTES))
     if name == "lz4":
         import lz4.frame
@@ -287,6 +309,8 @@ _COLUMNS = 4
 
 # Each of the two known writers of bags (C++ and Python) always writes the header of a message in
 # the same layout, so one unpack and two comparisons read it. Other orders are read by field.
+# A layout: the function that unpacks (first bytes, connection id, bytes between, seconds,
+# nanoseconds, size of the message), the first bytes, the bytes between. All have the same size.
 _CPP = (
     Struct("<13sI17sIII").unpack_from,
     b"\x26\0\0\0\x09\0\0\0conn=",
@@ -305,6 +329,7 @@ class _HeadLayout(NamedTuple):
     """The bytes before a serialised message, for one order of the header fields."""
 
     head: NDArray[np.uint8]
+    """The bytes, with 0 where a message has a number."""
     mask: NDArray[np.uint8]
     """Mask of head: 0 where it has a number, else 255."""
     numbers: list[slice]
@@ -312,6 +337,7 @@ class _HeadLayout(NamedTuple):
 
 
 def _layout(order: Sequence[bytes]) -> _HeadLayout:
+    """Return the layout of a header with the fields op, conn and time in an order."""
     header = pack_fields((name, OP_MESSAGE * (name == b"op")) for name in order)
     head = U32.pack(len(header)) + header + U32.pack(0)
     ends = [head.index(name) + len(name) for name in (b"conn=", b"time=")]
@@ -333,11 +359,11 @@ COUNTED_AT_ONCE = 1 << 12
 CountRecords = Callable[[int], None]
 """Function that counts records of a chunk: it gets their number since the last call, and raises
 BagTooLarge if the file has too many."""
-_NOTHING = np.zeros((_COLUMNS, 0), np.int64)
+_NO_COLUMNS = np.zeros((_COLUMNS, 0), np.int64)
 
 
 def uncounted(number: int) -> None:
-    """Count no records: they have been counted, or the file is our own."""
+    """Count no records, as a CountRecords: they were counted before, or the file is our own."""
 
 
 def find_messages(
@@ -346,8 +372,8 @@ def find_messages(
     """List the messages in the unpacked content of a chunk. Its records must fill it exactly.
 
     Args:
-        offsets: Ascending offsets of the message records that the index states. They are used,
-            and all records are read at once, if the records at these offsets fill the content.
+        offsets: Ascending offsets of the message records that the index states. If they are all
+            messages of the content, these are read at once, which is faster. None = not known.
         count: Counts the records while they are read.
 
     Raises:
@@ -361,7 +387,7 @@ def find_messages(
     numbers = array("q")  # four numbers for each message; a chunk may hold millions of messages
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
-    (read, head, middle), other = _PYTHON, _CPP
+    (read, head, middle), other = _PYTHON, _CPP  # the layout of the last message, and the other
     records = 0
     while position < end:
         records += 1
@@ -385,14 +411,22 @@ def find_messages(
                 continue
         position = _other_record(content, position, where, numbers)
     count(records)
-    columns = np.frombuffer(numbers, np.int64).reshape(-1, _COLUMNS).T if numbers else _NOTHING
+    columns = np.frombuffer(numbers, np.int64).reshape(-1, _COLUMNS).T if numbers else _NO_COLUMNS
     return ChunkMessages(*columns)
 
 
 def _messages_at(
     content: bytes, where: str, offsets: Longs, count: CountRecords
 ) -> ChunkMessages | None:
-    """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
+    """Read the messages at these offsets, at once by numpy.
+
+    Return None if they are not all messages of the chunk, if their headers have different orders of
+    fields, or if a time lies after MAX_NS: then the caller reads the records one by one.
+
+    Args:
+        offsets: Ascending, at least one.
+        count: Counts the other records; the caller counts the messages.
+    """
     if offsets[0] < 0 or offsets[-1] > len(content) - _FIXED_BYTES:
         return None
     heads = sliding_window_view(np.frombuffer(content, np.uint8), _FIXED_BYTES)[offsets]
@@ -404,27 +438,43 @@ def _messages_at(
     numbers = np.hstack([heads[:, place] for place in layout.numbers])
     ids, secs, nsecs, sizes = numbers.view("<u4").astype(np.int64).T
     starts, times = offsets + _FIXED_BYTES, secs * SECOND_NS + nsecs
-    if times.max() > MAX_NS or not _fill(content, where, offsets, starts + sizes, count):
+    if times.max() > MAX_NS or not _is_filled(content, where, offsets, starts + sizes, count):
         return None
     return ChunkMessages(ids, times, starts, starts + sizes)
 
 
-def _fill(content: bytes, where: str, begins: Longs, ends: Longs, count: CountRecords) -> bool:
-    """Say whether the given records, with connection records in the gaps, fill the content."""
+def _is_filled(content: bytes, where: str, begins: Longs, ends: Longs, count: CountRecords) -> bool:
+    """Return whether some records, with only connection records in the gaps, fill the content.
+
+    Args:
+        begins, ends: Offsets of the records and of their ends.
+        count: Counts the records in the gaps.
+
+    Raises:
+        BagError: A record in a gap is damaged, or ``count`` refuses their number.
+    """
+    # Gap n lies before record n, the last one before the end of the content.
     begins, ends = np.append(begins, len(content)), np.insert(ends, 0, 0)
-    more = array("q")
+    messages_in_gaps = array("q")
     for gap in np.flatnonzero(begins != ends).tolist():
         position, end = int(ends[gap]), int(begins[gap])
-        while position < end and not more:
-            position = _other_record(content, position, where, more)
+        while position < end and not messages_in_gaps:
+            position = _other_record(content, position, where, messages_in_gaps)
             count(1)
-        if position != end or more:
+        if position != end or messages_in_gaps:
             return False
     return True
 
 
 def _other_record(content: bytes, position: int, where: str, numbers: array[int]) -> int:
-    """Read a connection record, or a message in another layout; return the offset of its end."""
+    """Read a connection record, or a message in another layout; return the offset of its end.
+
+    Args:
+        numbers: Gets the four numbers of the message, see find_messages.
+
+    Raises:
+        BagError: The record is damaged, or of another kind.
+    """
     op, fields, start, stop = record_at(content, position, where)
     if op == OP_MESSAGE:
         numbers.extend((*message_of(fields, where), start, stop))
@@ -460,7 +510,7 @@ def record_at(content: bytes, position: int, where: str) -> tuple[int, Fields, i
 
 
 def message_of(fields: Fields, where: str) -> tuple[int, int]:
-    """Return the connection id and the time, ns, in the header of a message record."""
+    """Return the connection id and the time, ns, in the header of a message; raises BagError."""
     return number(fields, b"conn", where), time_ns(fields, b"time", where)
 
 

@@ -38,15 +38,19 @@ _TRUTH = {"true": "1", "false": "0"}
 
 
 class ChannelText(NamedTuple):
-    """The fields of a schema and a channel, without their ids."""
+    """The fields of a schema and a channel, without their ids and the topic."""
 
     type: str
     definition: bytes
     metadata: dict[str, str]
+    """Metadata of the channel."""
 
 
 def to_channel(connection: Connection) -> ChannelText:
-    """Return the schema and channel of a connection. The writer adds the field NUMBER if needed."""
+    """Return the schema and channel of a connection, also of one with a damaged header.
+
+    The caller adds the metadata field NUMBER where the channel gets another id.
+    """
     header, offset, definition = cut_definition(connection.header)
     metadata = {}
     for name, value in sorted(connection.fields.items()):
@@ -75,7 +79,11 @@ def to_connection(channel: Channel, schema: Schema | None) -> Connection:
 
 
 def unchecked_connection(channel: Channel, schema: Schema | None, where: str = "") -> Connection:
-    """Return the connection of a ROS 1 channel, also of a publisher with an odd header.
+    """Return the connection of a ROS 1 channel, whose header check_header may refuse.
+
+    Args:
+        schema: The schema of the channel; None = it has none.
+        where: Name of the file in the error text; '' = the caller names it.
 
     Raises:
         BagError: The metadata fields HEADER_FIELD or NUMBER are damaged.
@@ -87,7 +95,7 @@ def unchecked_connection(channel: Channel, schema: Schema | None, where: str = "
     try:
         header = _header(channel.topic, text)
         if HEADER_FIELD in channel.metadata:
-            header = _kept_header(channel.metadata[HEADER_FIELD], text.definition)
+            header = _stored_header(channel.metadata[HEADER_FIELD], text.definition)
         number = int(channel.metadata.get(NUMBER, channel.id))
         if not 0 <= number < 2**32:
             raise ValueError(f"{number} is out of range")
@@ -114,7 +122,11 @@ def why_foreign(channel: Channel, schema: Schema | None) -> str:
 
 
 def _header(topic: str, text: ChannelText) -> bytes:
-    """Build the connection header of a channel; its fields are sorted as in roscpp."""
+    """Build the connection header of a channel; its fields are sorted as in roscpp.
+
+    to_channel and to_connection both use it: if its result changes, files that were written without
+    HEADER_FIELD give other headers.
+    """
     fields: dict[str, str | bytes] = {"topic": topic, "type": text.type, **text.metadata}
     for name in (HEADER_FIELD, NUMBER):
         fields.pop(name, None)
@@ -127,6 +139,7 @@ def _header(topic: str, text: ChannelText) -> bytes:
 
 
 def _md5sum(type_name: str, definition: bytes) -> str:
+    """Return the md5 of a definition; ANY_MD5 if it cannot be computed."""
     text = definition.decode("utf-8", "surrogateescape")
     try:
         # A writer may leave out the definition. Then the installed type is the best guess.
@@ -138,12 +151,14 @@ def _md5sum(type_name: str, definition: bytes) -> str:
         return ANY_MD5  # the md5sum of a subscriber that accepts any type
 
 
-def _kept_header(text: str, definition: bytes) -> bytes:
+def _stored_header(text: str, definition: bytes) -> bytes:
+    """Return the header in a metadata field HEADER_FIELD; raises ValueError if it is damaged."""
     offset, _, coded = text.partition(":")
     return join_definition(base64.b64decode(coded, validate=True), int(offset), definition)
 
 
 def _is_text(name: str, value: bytes) -> bool:
+    """Return whether the metadata of a channel, which are UTF-8, can hold a field."""
     try:
         name.encode("utf-8")
         value.decode("utf-8")

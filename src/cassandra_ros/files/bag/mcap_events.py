@@ -23,12 +23,13 @@ from cassandra_ros.read import LAST_NS
 from cassandra_ros.store.tables.event_table import Event
 
 NAME = "cassandra_ros.event"
-"""Name of the metadata record of an event."""
+"""Name of the metadata record of an event. It is in the files, so it must not change."""
 MAX_EVENT_BYTES = 1 << 20
 """Maximum size of a record that is read as an event, bytes."""
 MAX_EVENTS = 100_000
 """Maximum number of events that are read of a file."""
 _MAX_ID_BYTES = 64
+"""Maximum size of the id of an event in a file, bytes; ours are shorter."""
 
 
 def fields_of(event: Event) -> dict[str, str]:
@@ -45,7 +46,11 @@ def fields_of(event: Event) -> dict[str, str]:
 
 
 def event_of(fields: Mapping[str, str], where: str) -> Event:
-    """Return the event in the fields of a metadata record; raises BagError."""
+    """Return the event in the fields of a metadata record, which any program may have written.
+
+    Raises:
+        BagError: A field is missing, is not of its form, or is one that addEvent refuses.
+    """
     try:
         end = fields.get("end_ns", "")
         start_ns = _time("start_ns", fields["start_ns"])
@@ -66,5 +71,7 @@ def event_of(fields: Mapping[str, str], where: str) -> Event:
 
 
 def _time(name: str, text: str) -> int:
+    """Return a time of an event, ns, 0 to LAST_NS - 1; raises InvalidOption for any other text."""
+    # Not int() alone: it takes ' 1_0 ', too, and is slow for a very long text.
     digits = text.isascii() and text.isdigit() and len(text) < 20
     return check_integer(name, int(text) if digits else text, 0, LAST_NS - 1)

@@ -40,27 +40,38 @@ from cassandra_ros.files.bag.format import (
 from cassandra_ros.keys import MAX_NS
 
 MAGIC = b"\x89MCAP0\r\n"
+"""First and last bytes of a file."""
 COMPRESSIONS = ("none", "lz4", "zstd")
 RECORD = Struct("<BQ")
 """Kind of a record, and number of bytes that follow."""
 CHUNK = Struct("<QQQII")
-"""Head of a chunk: first and last time, size, checksum, length of the name of its compression."""
+"""Head of a chunk: first and last time, size, checksum, length of the name of its compression. The
+name follows, then the size of the compressed records."""
 MESSAGE = Struct("<BQHIQQ")
 """Record of a message before its bytes: kind, length, channel, sequence, log and publish time."""
 _HEAD = np.dtype(
     [
         ("kind", "u1"),
-        *(("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
-        *(("time", "<u8"), ("sent", "<u8")),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("time", "<u8"),
+        ("sent", "<u8"),
     ]
 )
 """The fields of MESSAGE, for numpy."""
 INDEX = Struct("<HI")
 """Head of a message index: channel, and number of bytes that follow."""
 ENTRY_BYTES = 16
+"""Size of an entry of a message index, bytes: time, and offset of the message in the chunk."""
+_MAX_NAME_BYTES = 64
+"""Maximum size of the name of a compression, bytes. A longer one is damage."""
+_CHUNK_SIZE_BYTES = 8
+"""Size of the field with the size of the compressed records of a chunk, bytes."""
 _CRC_BYTES = 4
 _FOOTER_BYTES = 20
 _READ_BYTES = 1 << 20
+"""Number of bytes of the summary that are read at once."""
 _HALF = 2**63
 """Half of the range of the times in the format, ns."""
 MAX_DESCRIPTION_BYTES = 1 << 24
@@ -76,9 +87,10 @@ CUT = 0
 
 
 class McapRecord(NamedTuple):
-    """The position of a record in a file."""
+    """The position of a record in a file, or in the unpacked content of a chunk."""
 
     kind: int
+    """Opcode, or CUT."""
     start: int
     """Offset of the first byte after kind and length."""
     stop: int
@@ -90,8 +102,9 @@ class ChunkHead(NamedTuple):
 
     start_ns: int
     end_ns: int
+    """First and last time in the chunk, as the file states them, ns."""
     size: int
-    """Size of the unpacked records, bytes."""
+    """Size of the unpacked records, as the file states it, bytes."""
     crc: int
     """Checksum of the unpacked records; 0 = the writer did not compute one."""
     compression: str
@@ -106,7 +119,7 @@ class Messages(NamedTuple):
     """Sequence number of each message."""
     times: Longs
     """log_time of each message, ns; TOO_LATE = after the last time of ROS 1."""
-    sent: Longs
+    delays: Longs
     """publish_time minus log_time of each message, ns; modulo 2**64, so every value fits."""
     starts: Longs
     """Offset at which the serialised message begins, bytes."""
@@ -119,7 +132,7 @@ class Messages(NamedTuple):
         return Messages(*(column[~late] for column in self)) if late.any() else self
 
 
-def walk(file: BinaryIO, path: str) -> Iterator[McapRecord]:
+def walk(file: BinaryIO) -> Iterator[McapRecord]:
     """Yield the records of a file, but not those inside chunks.
 
     The caller may move the file position between two records. The last record is the footer. If the
@@ -198,12 +211,13 @@ def read_chunk_head(
     raw = file.read(CHUNK.size)
     if len(raw) == CHUNK.size:
         start_ns, end_ns, size, crc, name_bytes = CHUNK.unpack(raw)
-        rest = file.read(min(name_bytes, 64) + 8)
+        rest = file.read(min(name_bytes, _MAX_NAME_BYTES) + _CHUNK_SIZE_BYTES)
         name, length = rest[:name_bytes], int.from_bytes(rest[name_bytes:], "little")
-        start = record.start + CHUNK.size + name_bytes + 8
+        start = record.start + CHUNK.size + name_bytes + _CHUNK_SIZE_BYTES
         # Later versions of the format may add fields after the last one.
         fits = (start + length >= record.stop) if cut else (start + length <= record.stop)
-        if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns:
+        is_whole = len(rest) == name_bytes + _CHUNK_SIZE_BYTES
+        if is_whole and fits and start_ns <= end_ns:
             compression = name.decode("ascii", "replace") or "none"
             head = ChunkHead(start_ns, end_ns, size, crc, compression)
             return head, McapRecord(record.kind, start, min(start + length, record.stop))
@@ -211,7 +225,11 @@ def read_chunk_head(
 
 
 def count_of_index(file: BinaryIO, record: McapRecord, where: str) -> tuple[int, int]:
-    """Return the channel id of a message index and the number of messages that it lists."""
+    """Return the channel id of a message index and the number of messages that it lists.
+
+    Raises:
+        BagError: The index is damaged.
+    """
     file.seek(record.start)
     raw = file.read(INDEX.size)
     if len(raw) == INDEX.size:
@@ -248,7 +266,7 @@ def unpack_part(head: ChunkHead, data: bytes, count: CountRecords) -> bytes:
     """Return the complete records that can be unpacked at the beginning of a damaged chunk.
 
     The caller has checked ``head.size`` with an Allowance. No more records are returned than
-    ``count`` permits.
+    ``count`` permits. Return b'' if the chunk can be unpacked to its end and its crc is wrong.
     """
     content, end = b"", 0
     damage = (BagError, KeyError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError)
@@ -258,7 +276,7 @@ def unpack_part(head: ChunkHead, data: bytes, count: CountRecords) -> bytes:
         else:
             content = _unpack(head, data)
         if head.crc and len(content) == head.size and zlib.crc32(content) != head.crc:
-            return b""  # the chunk is complete but damaged at an unknown position
+            return b""  # it is damaged at an unknown position
         for record in records_of(content, ""):
             count(1)
             end = record.stop
@@ -266,10 +284,16 @@ def unpack_part(head: ChunkHead, data: bytes, count: CountRecords) -> bytes:
 
 
 def _unpack(head: ChunkHead, data: bytes) -> bytes:
+    """Return the unpacked records of a chunk, or content of another size if ``head.size`` is wrong.
+
+    Raises:
+        KeyError: The compression is unknown. Damaged data raise the errors of the libraries.
+    """
     if head.compression == "none":
         return data
     if head.compression == "lz4":
         unpacker = lz4.frame.LZ4FrameDecompressor()
+        # One byte more, so that the caller sees that there is more.
         return bytes(unpacker.decompress(data, max_length=head.size + 1))
     if head.compression == "zstd":
         if zstandard.frame_content_size(data) not in (-1, head.size):
@@ -304,6 +328,9 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
     """Return the offsets of message records that message indexes list, ascending.
 
     Return None if an index is damaged. The messages can be found without it.
+
+    Args:
+        raw: All message indexes of a chunk, with their kinds and lengths.
     """
     offsets_by_index: list[Longs] = [np.zeros(0, np.int64)]
     with suppress(BagError, ValueError, struct.error):
@@ -319,7 +346,15 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
 def _messages_at(
     content: bytes, where: str, offsets: Longs, count: CountRecords
 ) -> Messages | None:
-    """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
+    """Read the messages at these offsets, at once by numpy.
+
+    Return None if there is no message at one of them, if there are other messages in the chunk, or
+    if a time lies after MAX_NS: then the caller reads the records one by one.
+
+    Args:
+        offsets: Ascending, at least one.
+        count: Counts the other records; the caller counts the messages.
+    """
     if offsets[0] < 0 or offsets[-1] > len(content) - MESSAGE.size:
         return None
     rows = sliding_window_view(np.frombuffer(content, np.uint8), MESSAGE.size)[offsets]
@@ -329,12 +364,13 @@ def _messages_at(
         return None
     stops = offsets + RECORD.size + heads["length"].astype(np.int64)
     starts = offsets + MESSAGE.size
+    # Gap n lies before message n, the last one before the end of the content.
     begins, ends = np.append(offsets, len(content)), np.insert(stops, 0, 0)
     if (stops < starts).any() or (begins < ends).any():
         return None
     gaps = np.flatnonzero(begins != ends).tolist()
-    parts = (content[ends[gap] : begins[gap]] for gap in gaps)
-    if not all(_without_message(gap_bytes, where, count) for gap_bytes in parts):
+    contents_of_gaps = (content[ends[gap] : begins[gap]] for gap in gaps)
+    if not all(_without_message(gap, where, count) for gap in contents_of_gaps):
         return None
     channels, sequences = heads["channel"].astype(np.int64), heads["sequence"].astype(np.int64)
     times, sent = heads["time"].astype(np.int64), heads["sent"].astype(np.int64)
@@ -342,7 +378,11 @@ def _messages_at(
 
 
 def _without_message(content: bytes, where: str, count: CountRecords) -> bool:
-    """Say whether some bytes consist of records, and none of these is a message."""
+    """Return whether some bytes consist of records, and none of these is a message.
+
+    Raises:
+        BagTooLarge: ``count`` refuses their number.
+    """
     try:
         for record in records_of(content, where):
             count(1)
@@ -361,8 +401,8 @@ def find_messages(
     """List the messages in the unpacked records of a chunk.
 
     Args:
-        offsets: Ascending offsets of the message records that the index states. They are used,
-            and all records are read at once, if the records at these offsets fill the content.
+        offsets: Ascending offsets of the message records that the index states. If they are all
+            messages of the content, these are read at once, which is faster. None = not known.
         count: Counts the records while they are read.
 
     Raises:
@@ -387,6 +427,7 @@ def find_messages(
             position = record_at(content, where, position).stop
             continue
         _, length, channel, sequence, t_ns, sent_ns = read(content, position)
+        # A length that is too small for the fields of a message is damage, too.
         stop = position + RECORD.size + length
         if stop > end or stop < position + size:
             raise BagError(f"{where} is damaged: a message at byte {position} of it")

@@ -42,7 +42,9 @@ _EXTRAS = {
 }
 """Kinds of records that cannot be stored -> their name in warnings."""
 ROSBAG2_METADATA = "metadata.yaml"
+"""Name of the file that each folder of rosbag2 has."""
 SQLITE_MAGIC = b"SQLite format 3\x00"
+"""First bytes of the files of rosbag2 that are not MCAP files."""
 
 
 @dataclass
@@ -52,6 +54,7 @@ class _Chunk:
     record: McapRecord
     """Position of the compressed records."""
     head: ChunkHead
+    """Where the messages are counted one by one, its times are replaced by theirs."""
     counts: Counter[int] = field(default_factory=Counter)
     """Number of messages by channel id, without late ones; empty until they are counted."""
     index: McapRecord | None = None
@@ -75,7 +78,7 @@ class _Chunk:
 
     @property
     def counted(self) -> bool:
-        """Whether the message indexes tell the messages that can be stored."""
+        """Whether ``counts`` is final: from the message indexes, and no message is late."""
         return bool(self.counts) and self.salvaged is None and self.head.end_ns <= MAX_NS
 
 
@@ -127,7 +130,13 @@ class McapReader(MessageFile):
         """Size of the records of kinds that the format does not have, bytes."""
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        """Schemas and channels of the file by their ids, also of other encodings."""
         self._chunks: list[_Chunk] = []
+        """Chunks in the order of the file, from ``_number_connections`` on without empty ones."""
+        self._numbers: dict[int, int] = {}
+        """Channel id -> connection number, of the channels whose messages are read."""
+        self._first: list[int] = [0]
+        """Number of messages in the chunks before each chunk, and in all chunks."""
         self._late: Counter[int] = Counter()
         """Number of messages that are too late for ROS 1, by channel id."""
         self._last: _ChunkContent | None = None
@@ -137,7 +146,7 @@ class McapReader(MessageFile):
                 file_bytes = os.fstat(self._file.fileno()).st_size
                 self._allowance = Allowance(file_bytes, large_chunks)
                 self._read_index(salvage)
-                self._number()
+                self._number_connections()
                 if self.salvaged.why and not self.message_count:
                     raise BagError(
                         f"{self.path} {self.salvaged.why}: there is no message that can be salvaged"
@@ -167,7 +176,7 @@ class McapReader(MessageFile):
         return head.start_ns, head.end_ns
 
     def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
-        """Unpack a chunk. Return its content and its ROS 1 messages, see MessageFile."""
+        """Return the content and the ROS 1 messages of a chunk, see MessageFile."""
         content, messages = self._messages(chunk)
         ids = np.array([self._numbers[c] for c in messages.channels.tolist()], np.int64)
         return content, ChunkMessages(ids, messages.times, messages.starts, messages.stops)
@@ -175,13 +184,19 @@ class McapReader(MessageFile):
     def chunk_publish_times(self, chunk: int) -> PublishTimes | None:
         """Return the publish times and sequence numbers of a chunk, see MessageFile."""
         _, messages = self._messages(chunk)
-        if not (messages.sent.any() or messages.sequences.any()):
+        if not (messages.delays.any() or messages.sequences.any()):
             return None
         self.has_publish_times = True
-        return PublishTimes(self._first[chunk], messages.sent, messages.sequences)
+        return PublishTimes(self._first[chunk], messages.delays, messages.sequences)
 
     def _messages(self, chunk: int) -> tuple[bytes, Messages]:
-        """Read the ROS 1 messages of a chunk."""
+        """Return the content and the messages of a chunk, without those that are left out.
+
+        The last chunk is kept, because the callers ask for its messages and their publish times.
+
+        Raises:
+            BagError: The chunk is damaged, or contradicts its message index.
+        """
         if self._last is None or self._last.chunk != chunk:
             self._last = None  # free the last chunk first, so that only one is in memory
             content, index, offsets = self._content(chunk), self._chunks[chunk].index, None
@@ -217,6 +232,7 @@ class McapReader(MessageFile):
         return messages
 
     def _content(self, chunk: int) -> bytes:
+        """Return the unpacked records of a chunk; raises BagError if it is damaged."""
         entry, where = self._chunks[chunk], self._where(chunk)
         if entry.salvaged is not None:
             return entry.salvaged
@@ -234,11 +250,12 @@ class McapReader(MessageFile):
         return f"{self.path}: chunk {chunk + 1} of {len(self._chunks)}"
 
     def _read_index(self, salvage: bool) -> None:
-        """List connections and chunks of the file; with salvage only those before the damage."""
+        """List schemas, channels and chunks of the file; with salvage up to the damage."""
         before = self._schemas, self._channels
         try:
-            for record in mcapformat.walk(self._file, self.path):
-                if record.kind == Opcode.DATA_END:  # the summary repeats schemas and channels
+            for record in mcapformat.walk(self._file):
+                # The summary repeats schemas and channels. What a damaged one says does not count.
+                if record.kind == Opcode.DATA_END:
                     before = dict(self._schemas), dict(self._channels)
                 self._note(record)
         except BagError as exc:
@@ -251,7 +268,12 @@ class McapReader(MessageFile):
         self._count_the_rest()
 
     def _stop(self, damaged: McapRecord, error: BagError) -> None:
-        """Report the damage. If the file ends inside a chunk, keep its complete records."""
+        """Report the damage. If the file ends inside a chunk, keep its complete records.
+
+        Args:
+            damaged: The record that could not be read, or that of kind CUT.
+            error: The error that it raised.
+        """
         position, file_bytes = damaged.start, os.fstat(self._file.fileno()).st_size
         self._stated = None
         if damaged.kind in (Opcode.STATISTICS, Opcode.FOOTER):
@@ -266,17 +288,18 @@ class McapReader(MessageFile):
         if damaged.kind == mcapformat.CUT and self._file.read(1) == bytes([Opcode.CHUNK]):
             with suppress(BagError):
                 head, place = mcapformat.read_chunk_head(self._file, chunk, self.path, cut=True)
-                self._take(head, place, position)
+                self._count_size(head, place, position)
                 where = f"in the chunk at byte {position} of {file_bytes}"
                 count = partial(self._allowance.count_records, f"{self.path} {where}")
                 records = mcapformat.unpack_part(head, self._bytes(place), count)
                 entry = _Chunk(place, head, salvaged=records, records_counted=True)
                 self._chunks.append(entry)
+                # A compressed chunk counts with all its bytes, see SalvageReport.
                 read = place.start + len(records) if head.compression == "none" else position
                 self.salvaged.end(f"is cut short or damaged {where}", file_bytes - read)
 
     def _check_chunks(self) -> None:
-        """Count the messages of the chunks; note those that are damaged.
+        """Read all chunks; count the messages of those with an index, note those that are damaged.
 
         Messages after a damaged chunk keep their positions if the chunk has a message index, so
         that they are the same rows as those of an import without salvage.
@@ -294,11 +317,16 @@ class McapReader(MessageFile):
                 chunk.damaged, chunk.salvaged = True, b""
                 self._stated = None
                 continue
-            if chunk.counts:  # without an index they are counted with their times later
+            if chunk.counts:  # without an index _count_the_rest counts them
                 chunk.counts = Counter(messages.channels.tolist())
 
     def _note(self, record: McapRecord) -> None:
-        """Take a record outside of chunks into the index."""
+        """Take a record outside of chunks into the index.
+
+        Raises:
+            BagUnindexed: The file is cut short.
+            BagError: The record is damaged.
+        """
         kind = record.kind
         if kind == mcapformat.CUT:
             raise BagUnindexed(
@@ -308,25 +336,26 @@ class McapReader(MessageFile):
             )
         if kind == Opcode.CHUNK:
             head, place = mcapformat.read_chunk_head(self._file, record, self.path)
-            self._take(head, place, record.start)
+            self._count_size(head, place, record.start)
             self._chunks.append(_Chunk(place, head))
         elif kind == Opcode.MESSAGE_INDEX and self._chunks:
             channel, count = mcapformat.count_of_index(self._file, record, self.path)
             chunk, start = self._chunks[-1], record.start - mcapformat.RECORD.size
             if count:
                 chunk.counts[channel] += count
+            # All indexes that follow one another are read together later.
             if chunk.index is not None and chunk.index.stop == start:
                 start = chunk.index.start
             chunk.index = record._replace(start=start)
         elif kind == Opcode.MESSAGE:
             self._note_loose(record)
         elif kind == Opcode.STATISTICS:
-            raw = self._text(record)
+            raw = self._description(record)
             self._stated = mcapformat.parse(Statistics, raw, self.path).message_count
         elif kind == Opcode.FOOTER:
             mcapformat.check_summary(self._file, record, self.path)
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.HEADER):
-            self._note_text(kind, self._text(record), self.path)
+            self._note_description(kind, self._description(record), self.path)
         elif kind == Opcode.METADATA and self._note_event(record):
             pass
         elif kind in _EXTRAS:
@@ -348,8 +377,12 @@ class McapReader(MessageFile):
         self.events.append(metadata.metadata)
         return True
 
-    def _take(self, head: ChunkHead, place: McapRecord, position: int) -> None:
-        """Count the unpacked size of the chunk at a file offset.
+    def _count_size(self, head: ChunkHead, place: McapRecord, position: int) -> None:
+        """Count the unpacked size of a chunk, before it is unpacked.
+
+        Args:
+            place: Position of its compressed records.
+            position: Offset of the chunk, for the error text.
 
         Raises:
             BagTooLarge: The Allowance does not permit it.
@@ -357,8 +390,8 @@ class McapReader(MessageFile):
         where, packed = f"{self.path}: the chunk at byte {position}", place.stop - place.start
         self._allowance.count_chunk(head.compression, head.size, packed, where)
 
-    def _text(self, record: McapRecord) -> bytes:
-        """Read a record that describes the file."""
+    def _description(self, record: McapRecord) -> bytes:
+        """Read a record that describes the file; raises BagError if it is too large."""
         if record.stop - record.start > mcapformat.MAX_DESCRIPTION_BYTES:
             raise BagError(
                 f"{self.path} is damaged: the record of kind {record.kind} at byte {record.start} "
@@ -383,7 +416,11 @@ class McapReader(MessageFile):
             head = ChunkHead(0, 0, size, 0, "none")
             self._chunks.append(_Chunk(record._replace(start=start), head))
 
-    def _note_text(self, kind: int, raw: bytes, where: str) -> None:
+    def _note_description(self, kind: int, raw: bytes, where: str) -> None:
+        """Take a header, a schema or a channel, outside of chunks or inside; raises BagError.
+
+        A schema or a channel may be repeated, but not with other fields.
+        """
         if kind == Opcode.HEADER:
             self._profile = mcapformat.parse(Header, raw, where).profile
         elif kind == Opcode.SCHEMA:
@@ -396,7 +433,7 @@ class McapReader(MessageFile):
                 raise BagError(f"{where} is damaged: it has two different channels {channel.id}")
 
     def _count_the_rest(self) -> None:
-        """Unpack the chunks that have no message index, or whose channels are only inside them."""
+        """Unpack the chunks that have no final counts, or whose channels are only inside them."""
         for place, chunk in enumerate(self._chunks):
             if chunk.damaged or chunk.counted and all(map(self._is_known, chunk.counts)):
                 continue
@@ -404,7 +441,8 @@ class McapReader(MessageFile):
             messages = self._find(place, content)
             for record in mcapformat.records_of(content, where):
                 if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._note_text(record.kind, content[record.start : record.stop], where)
+                    raw = content[record.start : record.stop]
+                    self._note_description(record.kind, raw, where)
             if not chunk.counted:
                 self._late.update(messages.channels[messages.times == mcapformat.TOO_LATE].tolist())
                 messages = messages.in_time()
@@ -419,11 +457,17 @@ class McapReader(MessageFile):
                 )
 
     def _is_known(self, channel_id: int) -> bool:
+        """Return whether a channel and its schema were read; schema 0 = it has none."""
         channel = self._channels.get(channel_id)
         return channel is not None and channel.schema_id in (0, *self._schemas)
 
-    def _number(self) -> None:
-        """Make a connection of each channel that has ROS 1 messages."""
+    def _number_connections(self) -> None:
+        """Make a connection of each channel that has ROS 1 messages; note what is left out.
+
+        Raises:
+            BagError: The number of messages is not the one that the file states; or no message is
+                one of ROS 1.
+        """
         for chunk in self._chunks:
             if chunk.damaged:  # it may have been the only one that describes some channels
                 chunk.counts = Counter({c: n for c, n in chunk.counts.items() if self._is_known(c)})
@@ -441,36 +485,47 @@ class McapReader(MessageFile):
             if not self._salvages:
                 raise BagError(f"{self.path} {why}")
             self.salvaged.end(why, self._unknown_bytes)
-        kept: list[tuple[Connection, int]] = []
+        connections: list[tuple[Connection, int]] = []
+        """Connections and their channel ids."""
         foreign: dict[str, str] = {}
         """Topics whose messages are not those of ROS 1 -> the reason."""
-        for number, count in sorted(totals.items()):
-            channel = self._channels[number]
+        for channel_id, count in sorted(totals.items()):
+            channel = self._channels[channel_id]
             schema = self._schemas.get(channel.schema_id)
             why = why_foreign(channel, schema)
             if why:
                 foreign[channel.topic] = why
             else:
                 try:
-                    kept.append((to_connection(channel, schema), number))
+                    connections.append((to_connection(channel, schema), channel_id))
                 except BagError as exc:
                     why = str(exc)
             if why:
                 self.leave_out(channel.topic, why, count)
-        for number, count in sorted(self._late.items()):
-            self.leave_out(self._channels[number].topic, _LATE, count)
-        if foreign and not kept:
+        for channel_id, count in sorted(self._late.items()):
+            self.leave_out(self._channels[channel_id].topic, _LATE, count)
+        if foreign and not connections:
             self._refuse(totals, foreign)
-        self._number_kept(kept, totals)
+        self._set_attributes(connections, totals)
 
-    def _number_kept(self, kept: list[tuple[Connection, int]], totals: Counter[int]) -> None:
-        """Set the attributes of MessageFile from pairs of (connection, channel id)."""
-        if len({connection.number for connection, _ in kept}) < len(kept):
+    def _set_attributes(
+        self, connections: list[tuple[Connection, int]], totals: Counter[int]
+    ) -> None:
+        """Set the attributes of MessageFile.
+
+        Args:
+            connections: The connections and their channel ids.
+            totals: Number of messages by channel id, also of those that are left out or damaged.
+        """
+        if len({connection.number for connection, _ in connections}) < len(connections):
             # Each of several exports that were merged has its own numbers; channel ids are unique.
-            kept = [(replace(connection, number=number), number) for connection, number in kept]
-        kept.sort(key=lambda pair: pair[0].number)
-        self._numbers = {channel_id: connection.number for connection, channel_id in kept}
-        self.connections = {connection.number: connection for connection, _ in kept}
+            connections = [
+                (replace(connection, number=channel_id), channel_id)
+                for connection, channel_id in connections
+            ]
+        connections.sort(key=lambda pair: pair[0].number)
+        self._numbers = {channel_id: connection.number for connection, channel_id in connections}
+        self.connections = {connection.number: connection for connection, _ in connections}
         lost: Counter[int] = Counter()
         for chunk in self._chunks:
             if chunk.damaged:
@@ -478,15 +533,23 @@ class McapReader(MessageFile):
         self.counts = Counter({n: totals[c] - lost[c] for c, n in self._numbers.items()})
         self.salvaged.missing = sum(lost[c] for c in self._numbers)
         self.chunk_count, self.message_count = len(self._chunks), sum(self.counts.values())
+        # Damaged messages count, too: those after them keep their positions.
         chunk_counts = [
-            sum(n for c, n in k.counts.items() if c in self._numbers) for k in self._chunks
+            sum(count for channel_id, count in chunk.counts.items() if channel_id in self._numbers)
+            for chunk in self._chunks
         ]
         self._first = [0, *np.cumsum(chunk_counts).tolist()]
         self.start_ns = min((chunk.head.start_ns for chunk in self._chunks), default=0)
         self.end_ns = max((chunk.head.end_ns for chunk in self._chunks), default=0)
 
     def _refuse(self, totals: Counter[int], foreign: Mapping[str, str]) -> None:
-        encodings = {self._channels[number].message_encoding for number in totals}
+        """Raise the BagError for a file without messages of ROS 1.
+
+        Args:
+            totals: Number of messages by channel id.
+            foreign: Topic -> why its messages are not those of ROS 1.
+        """
+        encodings = {self._channels[channel_id].message_encoding for channel_id in totals}
         if self._profile == Profile.ROS2 or MessageEncoding.CDR in encodings:
             raise refusal(self.path)
         topic, why = next(iter(foreign.items()))

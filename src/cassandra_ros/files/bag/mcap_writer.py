@@ -19,6 +19,7 @@ from cassandra_ros.store.tables.event_table import Event
 MCAP_CHUNK_BYTES = 1 << 20
 """Size of a chunk's content above which the chunk is closed, bytes; the default of mcap."""
 _MAX_CHANNELS = 2**16 - 1
+"""Maximum number of channels in a file: their ids have 16 bits, and the library begins with 1."""
 _COMPRESSIONS = {
     "none": CompressionType.NONE,
     "lz4": CompressionType.LZ4,
@@ -27,7 +28,7 @@ _COMPRESSIONS = {
 
 
 class _RegisteredIds(NamedTuple):
-    """The ids of the schemas and channels that were written."""
+    """The ids of the schemas and channels that the library has assigned; the maps are filled."""
 
     schemas: dict[tuple[str, bytes], int]
     """(type, definition) -> schema id."""
@@ -69,7 +70,7 @@ class McapWriter(FileWriter):
     def write(
         self, number: int, t_ns: int, data: bytes, delay_ns: int = 0, sequence: int = 0
     ) -> None:
-        """Append a message, see FileWriter."""
+        """Append a message, see FileWriter; raises BagError also for too many channels."""
         try:
             channel = self._registered.channels.get(number)
             if channel is None:
@@ -90,7 +91,11 @@ class McapWriter(FileWriter):
         self._writer.finish()  # type: ignore[no-untyped-call]  # of the library
 
     def _register(self, number: int) -> int:
-        """Write the schema and the channel of a connection; return the channel id."""
+        """Write the schema and the channel of a connection; return the channel id.
+
+        Raises:
+            BagError: The file has as many channels as an MCAP can have.
+        """
         if len(self._registered.channels) == _MAX_CHANNELS:
             raise BagError(
                 f"{self.path}: an MCAP has at most {_MAX_CHANNELS} channels, and each publisher of "

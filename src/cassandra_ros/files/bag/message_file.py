@@ -42,7 +42,9 @@ larger size."""
 
 
 class Allowance:
-    """Counts the bytes and records of chunks that were unpacked; refuses those above the limits.
+    """Counts the bytes and records of the chunks of a file; refuses those above the limits.
+
+    The reader counts each chunk once, however often it is read.
 
     Args:
         file_bytes: Size of the file.
@@ -100,7 +102,7 @@ class Allowance:
             )
 
     def most(self, compression: str) -> int:
-        """Return the maximum size of a chunk's content, bytes."""
+        """Return the maximum size of a chunk's content, bytes; '' is no compression, as 'none'."""
         if self._large_chunks:
             return MAX_TRUSTED_BYTES
         return MAX_PLAIN_BYTES if compression in ("", "none") else MAX_CHUNK_BYTES
@@ -135,6 +137,7 @@ class FileMessage(NamedTuple):
     number: int
     """Connection number."""
     t_ns: int
+    """Receive time, ns."""
     data: bytes
 
 
@@ -146,7 +149,7 @@ class MessageBatch(NamedTuple):
     positions: Longs
     """Position of each message, see FileMessage."""
     times: Longs
-    """Time of each message, ns."""
+    """Receive time of each message, ns."""
     wires: list[bytes]
     """The serialised messages."""
 
@@ -169,10 +172,11 @@ class ChunkInfo(NamedTuple):
     """Offset in the file at which the record of the chunk begins, bytes."""
     start_ns: int
     end_ns: int
+    """First and last receive time, as the index states them, ns."""
     counts: dict[int, int]
     """Number of messages in the chunk by connection number; every value is at least 1."""
     first: int
-    """Number of messages in all chunks before this one."""
+    """Number of messages in all chunks before this one: the position of its first message."""
 
 
 class CutChunk(NamedTuple):
@@ -180,7 +184,9 @@ class CutChunk(NamedTuple):
 
     compression: str
     data_pos: int
+    """Offset in the file at which the compressed content begins."""
     data_bytes: int
+    """Size of the compressed content, bytes; 0 = nothing can be read."""
     content_bytes: int
     """Size of the unpacked content before the damage, bytes."""
 
@@ -201,7 +207,7 @@ class SalvageReport:
     behind: bool = False
     """Whether chunks after the first damage are read."""
     cuts: dict[int, CutChunk] = field(default_factory=dict)
-    """What can be read of damaged chunks, by chunk number."""
+    """What can be read of damaged chunks of a bag, by chunk number."""
     missing: int = 0
     """Number of messages that the index of the file lists, and that cannot be read."""
     damaged: set[int] = field(default_factory=set)
@@ -209,11 +215,11 @@ class SalvageReport:
     their positions, so the import of the file with and without salvage is one import."""
 
     def add(self, why: str, lost_bytes: int = 0) -> None:
-        """Note damage after other damage; the description of the first is kept."""
+        """Note damage, perhaps after other damage: the first description stays, bytes add up."""
         self.end(self.why or why, self.lost_bytes + lost_bytes)
 
     def end(self, why: str, lost_bytes: int = 0) -> None:
-        """Note the damage, and how many bytes of the file cannot be read."""
+        """Note damage and its number of lost bytes in place of what was noted before."""
         self.why = why
         self.lost_bytes = lost_bytes
 
@@ -249,7 +255,8 @@ class MessageFile(ABC):
     """
 
     salvaged = SalvageReport()
-    """The damage that was found when the file was opened with ``salvage``, if any."""
+    """The damage that was found when the file was opened with ``salvage``, if any. This object of
+    the class is shared and stays empty: a reader that finds damage makes its own."""
     has_publish_times = False
     path: str
     connections: dict[int, Connection]
@@ -261,7 +268,7 @@ class MessageFile(ABC):
 
     @cached_property
     def left_out(self) -> dict[str, tuple[int, str]]:
-        """See the class; none unless its reader notes some."""
+        """See the class; none unless ``leave_out`` notes some."""
         return {}
 
     @cached_property
@@ -291,14 +298,15 @@ class MessageFile(ABC):
 
     @abstractmethod
     def chunk_times(self, chunk: int) -> tuple[int, int]:
-        """Return the first and the last time in a chunk that the index states, ns."""
+        """Return the first and the last receive time in a chunk that the index states, ns."""
 
     @abstractmethod
     def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
         """Read a chunk. Return its content and the list of its messages.
 
-        The connection ids in the list are the numbers in ``connections``. At least 20 bytes of the
-        content before each message belong to no message.
+        The connection ids in the list are the numbers in ``connections``; messages that are left
+        out are not in the list. At least 20 bytes of the content before each message belong to no
+        message: identity.py writes over them, in a copy of the content.
 
         Raises:
             BagError: The chunk is damaged or contradicts the index; the text names the chunk.
@@ -309,6 +317,9 @@ class MessageFile(ABC):
 
         Return None if the file has no such fields, or if each publish time is the receive time and
         each sequence number is 0.
+
+        Raises:
+            BagError: The chunk is damaged.
         """
         return None
 
@@ -341,7 +352,7 @@ class MessageFile(ABC):
     def chunk_messages(
         self, chunk: int, numbers: AbstractSet[int] | None = None
     ) -> Iterator[FileMessage]:
-        """Read the messages of one chunk; see messages."""
+        """Read the messages of one chunk in the order of the chunk; see messages."""
         info = self.chunk_info(chunk)
         if numbers is not None and numbers.isdisjoint(info.counts):
             return
@@ -378,6 +389,7 @@ class OrderedMessage(NamedTuple):
     rank: int
     """Position of the connection in the bag's index."""
     position: int
+    """Position of the message, see FileMessage."""
     value: bytes
     """Result of ``keep`` for the message, see read_in_order."""
 
@@ -418,6 +430,7 @@ def read_in_order(
             )
             waiting.append(entry)
         waiting.sort()  # sorted runs of messages cost one comparison per message
+        # A tuple of the time alone sorts before all messages of this time.
         ready = bisect_left(waiting, (next_ns,))
         yield from waiting[:ready]
         del waiting[:ready]
@@ -439,6 +452,7 @@ def match_topics(names: Iterable[str], present: AbstractSet[str], where: str) ->
 
 
 def _listing(name: str, present: AbstractSet[str]) -> str:
+    """Return in words which topics there are, those with names like ``name`` first."""
     if not present:
         return "it has none"
     near = get_close_matches(name, sorted(present), n=LISTED, cutoff=0.4)

@@ -20,13 +20,13 @@ class MessageSample:
 
     times: list[int] = field(default_factory=list)
     """Receive times of the messages, ns, in the order of their keys."""
-    found: dict[tuple[str, int], Connection] = field(default_factory=dict)
+    connection_of: dict[tuple[str, int], Connection] = field(default_factory=dict)
     """Connections of the messages, by table name and ``_conn``."""
 
     @property
     def connections(self) -> list[Connection]:
         """The connections, sorted by their number in the bag."""
-        return sorted(self.found.values(), key=lambda connection: connection.number)
+        return sorted(self.connection_of.values(), key=lambda connection: connection.number)
 
     @property
     def frequency(self) -> float | None:
@@ -37,18 +37,16 @@ class MessageSample:
         return SECOND_NS / middle if middle else None
 
 
-def read_samples(
-    topic: CassandraTopic, most: int, node: str | None, run: RunName
-) -> dict[str, MessageSample]:
-    """Read the first messages of a topic, at most ``most``. Return a sample per table name."""
+def read_sample(topic: CassandraTopic, most: int, node: str | None, run: RunName) -> MessageSample:
+    """Return a sample of the first messages of a topic, at most ``most``; only keys are read."""
     samples: dict[str, MessageSample] = {}
     for row in topic.rows(nodeID=node, run=run, limit=most, columns=lambda table: ()):
         sample = samples.setdefault(row.table.name, MessageSample())
         sample.times.append(row.received)
         key = (row.table.name, row.conn)
-        if key not in sample.found:
-            sample.found[key] = row.connection
-    return samples
+        if key not in sample.connection_of:  # row.connection may ask the store
+            sample.connection_of[key] = row.connection
+    return join_samples(samples.values())
 
 
 def join_samples(samples: Iterable[MessageSample]) -> MessageSample:
@@ -56,5 +54,5 @@ def join_samples(samples: Iterable[MessageSample]) -> MessageSample:
     whole = MessageSample()
     for sample in samples:
         whole.times += sample.times
-        whole.found.update(sample.found)
+        whole.connection_of.update(sample.connection_of)
     return whole
