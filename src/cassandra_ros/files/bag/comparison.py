@@ -41,13 +41,13 @@ WINDOW = 50
 _SIZE_BYTES = 8
 """Number of bytes of a fingerprint that hold the size of the message."""
 _FOREIGN = 1 << 32
-"""Rank of stored messages whose connection is not in the bag."""
+"""Rank of stored messages whose connection is not in the bag: higher than all ranks in a bag."""
 
-# How many of the first fields of Entry (time, rank, position) must be equal before the content of
-# two messages is compared.
 _NO_ORDER = 0
 _BY_CONNECTION = 2
 _BY_POSITION = 3
+"""How many of the first fields of Entry (time, rank, position) must be equal before the content of
+two messages is compared."""
 
 
 @dataclass
@@ -134,10 +134,10 @@ def verify_bag(
     """
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
-        chosen = {n: reader.connections[n].topic for n in numbers}
+        topic_of = {n: reader.connections[n].topic for n in numbers}
         catalog = ros_cas.catalog
         catalog.keyspace.runs.check_robot(nodeID)
-        stored = _stored_topics(catalog, chosen.values())
+        stored = _stored_topics(catalog, topic_of.values())
         writers = catalog.keyspace.runs.writers(run)
         own_import = _find_import(catalog, reader, stored, nodeID, reading, writers)
         whose = "" if nodeID is None else f" of node {nodeID}"
@@ -158,15 +158,15 @@ def verify_bag(
             report.missing += count
         if own_import is None:
             numbers -= _leave_out(reader, numbers, report, times)
-            chosen = {n: chosen[n] for n in numbers}
-        counts = _counts(reader, {n for n in chosen if chosen[n] not in stored}, times)
-        for topic in sorted(set(chosen.values()) - stored):
-            gone = {n for n in chosen if chosen[n] == topic}
-            count = sum(counts[n] for n in gone)
+            topic_of = {n: topic_of[n] for n in numbers}
+        counts = _counts(reader, {n for n in topic_of if topic_of[n] not in stored}, times)
+        for topic in sorted(set(topic_of.values()) - stored):
+            absent = {n for n in topic_of if topic_of[n] == topic}
+            count = sum(counts[n] for n in absent)
             if count:
                 report.add(f"{topic} is not stored: its {count} messages are missing", count)
             report.missing += count
-            numbers -= gone
+            numbers -= absent
         ranks = _Ranks(reader.connections.values(), positions=own_import is not None)
         origin = Whose.of(nodeID, writers)
         if own_import is not None:
@@ -177,12 +177,14 @@ def verify_bag(
         order = _BY_CONNECTION if own_import is None else _BY_POSITION
         comparison = Comparison(_in_order(rows, ranks), report, order)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress, ranks, times)
-        report.mixed_robots = ranks.mixed_robots
-        late = 0
+        report.mixed_robots = ranks.mixed_robots  # known only when all rows were read
+        others = 0
         if own_import is not None:
-            late = count_other_publish_times(catalog.keyspace.side_tables, reader, own_import)
-        if late:
-            report.add(f"publish_time or sequence of {late} messages are stored otherwise", late)
+            others = count_other_publish_times(catalog.keyspace.side_tables, reader, own_import)
+        if others:
+            report.add(
+                f"publish_time or sequence of {others} messages are stored otherwise", others
+            )
         if limits != TimeRange() and report.equal and not report.equal_messages:
             first, last = iso_time(reader.start_ns), iso_time(reader.end_ns)
             raise MessageNotFound(
@@ -242,15 +244,15 @@ def verify_content(
         if early or event is not None:
             numbers -= _leave_out(reader, numbers, report, TimeRange())
         ranks = _Ranks((), positions=False)
-        wanted = {reader.connections[n].topic for n in numbers}
-        stored = _stored_topics(catalog, {renamed.get(topic, topic) for topic in wanted})
+        bag_topics = {reader.connections[n].topic for n in numbers}
+        stored = _stored_topics(catalog, {renamed.get(topic, topic) for topic in bag_topics})
         comparisons: dict[str, Comparison] = {}
-        for topic in wanted:
+        for topic in bag_topics:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
             reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, writers), event)
             rows = catalog.read_parts(names, reads, received=True)
-            comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
+            comparisons[topic] = Comparison(map(ranks.entry_of, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)
     return report
 
@@ -258,7 +260,10 @@ def verify_content(
 def _leave_out(
     reader: MessageFile, numbers: AbstractSet[int], report: VerifyReport, times: TimeRange
 ) -> set[int]:
-    """Return the connections that hold messages latched before an export, and count these."""
+    """Return the connections whose messages an export added as latched before its time range.
+
+    The report gets the number of these messages in ``times``.
+    """
     early = {n for n in numbers if reader.connections[n].from_before}
     counts = _counts(reader, early, times)
     report.left_out = sum(counts[n] for n in early)
@@ -266,7 +271,10 @@ def _leave_out(
 
 
 def _counts(reader: MessageFile, numbers: AbstractSet[int], times: TimeRange) -> Counter[int]:
-    """Return the number of messages in a time range of some connections, by connection number."""
+    """Return the number of messages in a time range of some connections, by connection number.
+
+    The result may also have numbers of other connections.
+    """
     if times == TimeRange() or not numbers:
         return reader.counts
     chunks = range(reader.chunk_count)
@@ -277,6 +285,7 @@ def _counts(reader: MessageFile, numbers: AbstractSet[int], times: TimeRange) ->
 
 
 def _stored_topics(catalog: Catalog, names: Iterable[str]) -> AbstractSet[str]:
+    """Return those of the names that are topics of the keyspace."""
     return {topic.name for topic in catalog.all(None)}.intersection(names)
 
 
@@ -291,7 +300,17 @@ def _find_import(
     """Return the import of this bag whose rows are to be compared; None = there is no import.
 
     Only runs whose writer id is in the directory, for the bag's time range, are considered; for
-    tables whose keys are not the times of the bag the time range is unlimited.
+    tables whose keys are not the times of the bag the time range is unlimited. If there is such a
+    run, the bag is read to its end.
+
+    Args:
+        topics: Stored topics of the bag.
+        node: Robot of the import; None = any.
+        reading: Callback for the messages that are read.
+        among: Writer ids of the runs that are considered; None = all.
+
+    Raises:
+        InvalidKey: There are imports for several robots.
     """
     keyspace = catalog.keyspace
     nodes = None if node is None else (node,)
@@ -361,7 +380,9 @@ class _Ranks:
     def __init__(self, connections: Iterable[Connection], positions: bool) -> None:
         self._positions = positions
         self._exact: dict[tuple[str, bytes, int], int] = {}
+        """Topic, header and number of a connection of the bag -> its rank."""
         self._alike: dict[tuple[str, bytes], int] = {}
+        """Topic and header -> rank of the first connection of the bag that has them."""
         self.of_bag: list[int] = []
         """Rank of each connection of the bag."""
         for rank, c in enumerate(connections):
@@ -369,16 +390,20 @@ class _Ranks:
             shared = self._alike.setdefault((c.topic, c.header), rank)
             self.of_bag.append(rank if positions else shared)
         self._connections: dict[tuple[str, int, str], tuple[int, str, str]] = {}
+        """Table, ``_conn`` and robot of rows -> rank, type and md5 of their connection."""
         self._robots: set[str] = set()
+        """Robots of the rows so far; not noted where a row's connection is found with its number.
+        """
         self._named: set[str] = set()
+        """Those of them that a header in the bag names."""
 
     @property
     def mixed_robots(self) -> list[str]:
-        """The robots of the rows if there are several, not all of them named by the bag."""
+        """The robots of the rows so far if there are several, not all of them named by the bag."""
         mixed = len(self._robots) > 1 and self._named != self._robots
         return sorted(self._robots) if mixed else []
 
-    def see(self, row: StoredRow) -> Entry:
+    def entry_of(self, row: StoredRow) -> Entry:
         """Return the entry of a row. A row that cannot be read is unequal to every message."""
         key = (row.table.name, row.conn, row.node)
         if key not in self._connections:
@@ -393,7 +418,7 @@ class _Ranks:
         return Entry(row.received, rank, position, msg_type, md5sum, value, row.topic)
 
     def _rank(self, topic: str, connection: Connection, node: str) -> int:
-        """Return the rank of a connection, under the current name of its topic."""
+        """Return the rank of a connection, under the current name of its topic; note its robot."""
         header = connection.header
         exact = self._exact.get((topic, header, connection.number)) if self._positions else None
         if exact is not None:
@@ -407,10 +432,10 @@ class _Ranks:
 
 
 def _in_order(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
-    """Yield the entries of rows; rows of equal time are sorted by connection."""
+    """Yield the entries of rows, which come by receive time; those of equal time by rank."""
     for _, group in groupby(rows, lambda row: row.received):
         # Equal ranks keep their order: it is that of an export, by robot and _seq.
-        yield from sorted(map(ranks.see, group), key=_place)
+        yield from sorted(map(ranks.entry_of, group), key=_place)
 
 
 def _place(entry: Entry) -> tuple[int, int]:
@@ -428,6 +453,8 @@ def _compare(
     """Read a bag in the order of rosbag and compare each topic with its stored messages.
 
     Args:
+        numbers: Connections that are compared.
+        comparisons: Topic of the bag -> its comparison; several topics may share one.
         ranks: Ranks of the connections; None = each has its own.
         times: Receive times of the messages that are compared; None = all.
     """
@@ -450,9 +477,9 @@ def _entries_of_bag(
     messages = read_in_order(reader, lambda message: fingerprint(message.data), numbers)
     for _, group in groupby(messages, lambda message: message.t_ns):
         entries = []
-        for t_ns, number, position, value in group:
-            c = connections[number]
-            rank = rank_of[number]
+        for t_ns, place, position, value in group:
+            c = connections[place]
+            rank = rank_of[place]
             entries.append(Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic))
         yield from sorted(entries, key=_rank_and_position)
 
@@ -478,7 +505,9 @@ class Comparison:
         self._report = report
         self._order = order
         self._bag: deque[Entry] = deque()
+        """Messages of the bag that are still to be compared."""
         self._seen: deque[Entry] = deque()
+        """Stored messages that were read and are still to be compared, at most WINDOW."""
 
     def add(self, message: Entry) -> None:
         """Take the next message of the bag."""
@@ -486,12 +515,16 @@ class Comparison:
         self._advance(WINDOW)
 
     def finish(self) -> None:
-        """Compare the remaining messages, after the last message of the bag."""
+        """Compare the remaining messages, after the last message of the bag.
+
+        A second call does nothing: several topics may share this object.
+        """
         self._advance(1)
         while self._seen or self._fill():
             self._superfluous(1)
 
     def _fill(self) -> bool:
+        """Read stored messages until WINDOW of them wait; return whether any waits."""
         self._seen.extend(islice(self._store, WINDOW - len(self._seen)))
         return bool(self._seen)
 
@@ -527,7 +560,11 @@ class Comparison:
             self._different(self._bag.popleft(), self._seen.popleft())
 
     def _ahead(self, message: Entry, others: Iterable[Entry]) -> int:
-        """Return how many messages of equal order precede an equal one; 0 = no message is equal."""
+        """Return how many of ``others`` precede one that is equal to a message.
+
+        Return 0 if none of those with the same place is equal. The caller knows that the first one
+        is not.
+        """
         for count, other in enumerate(others):
             if other[: self._order] != message[: self._order]:
                 return 0
@@ -536,6 +573,7 @@ class Comparison:
         return 0
 
     def _missing(self, count: int) -> None:
+        """Report the next messages of the bag as missing in the store."""
         is_certain = self._order or self._seen
         why = (
             "is not in the store"
@@ -548,6 +586,7 @@ class Comparison:
             self._report.add(f"{entry}: message {entry.position} of the bag {why}")
 
     def _superfluous(self, count: int) -> None:
+        """Report the next stored messages as missing in the bag."""
         for _ in range(count):
             seen = self._seen.popleft()
             why = "" if self._order else " here"
@@ -556,6 +595,7 @@ class Comparison:
             self._report.add(f"{seen}: the bag has no such message{why}")
 
     def _different(self, expected: Entry, seen: Entry) -> None:
+        """Report a message of the bag and the stored one that is in its place."""
         reasons = []
         types = [f"{entry.type} [{entry.md5sum}]" for entry in (expected, seen)]
         if types[0] != types[1]:

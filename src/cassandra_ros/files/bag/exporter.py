@@ -131,8 +131,8 @@ def export_bag(
             raise InvalidOption("an event and around were given: give one of them")
         rule = WindowRule.of(around[0], *map(duration_ns, around[1:]))
         reads = reads if rule is None else catalog.reads_around(reads.whole, rule)
-    early = latched and (start is not None or event is not None or around is not None)
-    rows = _find_rows(catalog, names, reads, where, early)
+    has_start = start is not None or event is not None or around is not None
+    rows = _find_rows(catalog, names, reads, where, latched and has_start)
     report = ExportReport(os.fspath(path))
     first = list(islice(rows, 1))
     if not (first or empty):
@@ -141,12 +141,14 @@ def export_bag(
     with make_file(path, compression) as writer:
         robots = robots_of(catalog, catalog.tables(names), reads.whole.whose)
         numbers = ConnectionNumbers(writer, several_robots=len(robots) > 1)
-        sent = PublishTimeFinder(catalog.keyspace.side_tables, writer.keeps_publish_times)
-        times = TimeRange(LAST_NS, 0)
+        publish_times = PublishTimeFinder(
+            catalog.keyspace.side_tables, enabled=writer.keeps_publish_times
+        )
+        times = TimeRange(LAST_NS, 0)  # of no message
         for t_ns, row in chain(first, rows):
             wire, is_early = row.wire, t_ns != row.received
             number = numbers.latched(row) if is_early else numbers.of(row)
-            writer.write(number, t_ns, wire, *sent.of(row, t_ns))
+            writer.write(number, t_ns, wire, *publish_times.of(row, t_ns))
             report.add(row.topic, len(wire), is_early)
             if progress is not None:
                 progress(1, len(wire))
@@ -164,7 +166,11 @@ def _find_rows(
     where: Conditions,
     latched: bool,
 ) -> Iterator[tuple[int, StoredRow]]:
-    """Yield (time in the file, row) of each message, each part beginning with the latched ones."""
+    """Yield (time in the file, row) of each message; see _rows_of_parts.
+
+    Args:
+        latched: Whether each part begins with the messages that were latched before it.
+    """
     tables, whose = catalog.tables(topics), reads.whole.whose
     filters = catalog.filters(where, topics, whose)
     finder = LatchedFinder(catalog.keyspace, tables, whose, tests_of(catalog, where, whose))
@@ -178,32 +184,46 @@ def _rows_of_parts(
     reads: Reads,
     finder: LatchedFinder | None,
 ) -> Iterator[tuple[int, StoredRow]]:
-    written = LatchedRecord()
-    notes = finder is not None and len(reads.parts) > 1 and finder.latches
+    """Yield (time in the file, row) of each message of the parts of a read, in their order.
+
+    The time is the receive time. With a finder each part begins with the messages that were latched
+    before it and were not given yet; their time is the start of the part.
+    """
+    given = LatchedRecord()
+    # A later part needs to know which latched messages this one had.
+    records = finder is not None and len(reads.parts) > 1 and finder.latches
     for read in reads.parts:
         low, high = read.time_range
-        before = [] if finder is None else written.changes(finder.of(read.whose), low, high)
-        for row in before:
+        earlier = [] if finder is None else given.changes(finder.of(read.whose), low, high)
+        for row in earlier:
             yield low, row
         for row in catalog.merged(tables, filters, read, received=True):
-            if notes and finder is not None and finder.is_latched(row):
-                written.note(row)
+            if records and finder is not None and finder.is_latched(row):
+                given.note(row)
             yield row.received, row
 
 
 def _events(catalog: Catalog, reads: Reads, times: TimeRange, whose: Whose) -> Iterator[Event]:
-    """Yield the events of robots that meet the time range of the messages, and one of the parts."""
+    """Yield the events of robots that meet the time range of the messages, and one of the parts.
+
+    Args:
+        times: First and last time in the file; the first after the last = there is no message.
+    """
     if times.low > times.high:
         return
     starts = [read.time_range.low for read in reads.parts]
     for event in catalog.keyspace.events.find(within=times, whose=whose):
-        n = bisect_right(starts, event.time_range.high) - 1
-        if n >= 0 and reads.parts[n].time_range.high >= event.start_ns:
+        # The last part that begins before the event ends; the parts do not overlap.
+        last = bisect_right(starts, event.time_range.high) - 1
+        if last >= 0 and reads.parts[last].time_range.high >= event.start_ns:
             yield event
 
 
 def robots_of(catalog: Catalog, tables: Sequence[TopicTable], whose: Whose) -> set[str]:
-    """Return the robots of a selection that may have messages in some tables."""
+    """Return the robots of a selection that may have messages in some tables.
+
+    Robots that are named in the selection count even if they have none.
+    """
     if whose.nodes is not None:
         return set(whose.nodes)
     robots = set(catalog.keyspace.nodes(tables))
@@ -259,8 +279,12 @@ class ConnectionNumbers:
         self._writer = writer
         self._several_robots = several_robots
         self._numbers: dict[tuple[int, str, str, int, str], int] = {}
+        """(writer id, topic, md5, ``_conn``, robot) -> number; the writer id is 0 for connections
+        that never were in a bag, which all runs share; the robot is '' if there is only one."""
         self._bases: dict[int, int] = {}
+        """Writer id of an import -> what is added to the numbers of its connections."""
         self._free = 0
+        """Lowest number that is higher than all that were assigned."""
 
     def of(self, row: ExportedRow) -> int:
         """Return the number of a row's connection, the same in all tables and stores that have it.
@@ -277,11 +301,13 @@ class ConnectionNumbers:
     def latched(self, row: StoredRow) -> int:
         """Return the number of a new connection that holds only this message, latched before.
 
-        It is lower than all numbers that are assigned later, so it is read before them.
+        It is lower than the numbers that are assigned later, but for connections of an import that
+        has numbers already. So rosbag reads it before a message that was received at the start.
         """
         return self._next(self._connection(row).latched_from(row.received))
 
     def _robot(self, row: ExportedRow) -> str:
+        """Return the robot for the keys of _numbers."""
         return row.node if self._several_robots else ""
 
     def _connection(self, row: ExportedRow) -> Connection:
@@ -290,6 +316,7 @@ class ConnectionNumbers:
         return connection.of_robot(row.node) if self._several_robots else connection
 
     def _add(self, row: ExportedRow, run: int) -> int:
+        """Add the connection of a row of a run to the writer; return its number."""
         connection = self._connection(row)
         if connection.number < 0:
             # 0 is not the id of any writer.
@@ -302,6 +329,7 @@ class ConnectionNumbers:
         return self._next(connection, self._bases[run] + connection.number)
 
     def _next(self, connection: Connection, preferred: int | None = None) -> int:
+        """Add a connection to the writer; return its number: the preferred one, else the next."""
         try:
             number = self._writer.connection(connection, preferred)
         except BagError:

@@ -80,20 +80,19 @@ def export_fleet(
         )
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer, _has_several_robots(rows.answer, topics, nodeID, run))
-        keeps = writer.keeps_publish_times
-        sent = _PublishTimes(rows.answer, keeps)
+        publish_times = _PublishTimes(rows.answer, writer.keeps_publish_times)
         last = first[0]
         for row in chain(first, rows):
             try:
                 number, wire = numbers.of(row), row.wire
             except MessageNotFound:
                 continue  # deleted, or told in rows.missing with the store that went away
-            writer.write(number, row.received, wire, *sent.of(row))
+            writer.write(number, row.received, wire, *publish_times.of(row))
             report.add(row.topic, len(wire), early=False)
             last = row
             if progress is not None:
                 progress(1, len(wire))
-        if keeps:
+        if writer.keeps_publish_times:  # an MCAP: other files take no events
             events = fleet.events(None, first[0].received, last.received, nodeID=nodeID, run=run)
             report.events = sum(map(writer.add_event, events))
             report.missing = {**events.missing, **rows.missing}
@@ -115,7 +114,11 @@ def _has_several_robots(
 
 
 class _PublishTimes:
-    """Publish times of messages, from the stores that have them; see PublishTimeFinder."""
+    """Publish times of messages, from the stores that have them; see PublishTimeFinder.
+
+    Args:
+        enabled: False = return 0 and 0 for each row, without asking the stores.
+    """
 
     def __init__(self, answer: FleetAnswer, enabled: bool) -> None:
         self._answer = answer
@@ -126,7 +129,8 @@ class _PublishTimes:
 
     def of(self, row: FleetRow) -> tuple[int, int]:
         """Return publish_time minus receive time, ns, and sequence number; 0 and 0 = unknown."""
-        # A store that was not read for the message may have its publish time already.
+        # A copy gets publish times after the messages: a store that was not read for the message
+        # may have them already.
         for store in dict.fromkeys([*row.stores, *self._finders]):
             finder = {store: self._finders[store]} if store in self._finders else {}
             for publish_time in self._answer.each(

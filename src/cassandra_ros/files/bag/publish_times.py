@@ -27,16 +27,20 @@ def store_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) 
 
     The caller has read all chunks before, so ``has_publish_times`` is valid.
     """
-    for stripe, sent in _stripes(reader):
-        SendTimeStore(side_tables).write_stripe(run.writer, run.node, stripe, sent)
+    for number, stripe in _stripes(reader):
+        SendTimeStore(side_tables).write_stripe(run.writer, run.node, number, stripe)
 
 
 def count_other_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) -> int:
-    """Return the number of messages whose stored publish time or sequence differs from the file."""
+    """Return the number of messages whose stored publish time or sequence differs from the file.
+
+    The caller has read all chunks before. Values that are stored where the file has only 0 in a
+    whole stripe are not looked at.
+    """
     table, count = SendTimeStore(side_tables), 0
-    for stripe, sent in _stripes(reader):
-        stored = table.read_stripe(run.writer, run.node, stripe) or _nothing()
-        equal = (stored.delays == sent.delays) & (stored.sequences == sent.sequences)
+    for number, stripe in _stripes(reader):
+        stored = table.read_stripe(run.writer, run.node, number) or _empty_stripe()
+        equal = (stored.delays == stripe.delays) & (stored.sequences == stripe.sequences)
         count += int((~equal).sum())
     return count
 
@@ -60,16 +64,21 @@ class PublishTimeFinder:
 
         Args:
             t_ns: Time at which the message is written to the file, ns.
+
+        Raises:
+            CorruptMessage: The stored values are damaged.
         """
         if not self._any or t_ns != row.received:
             return 0, 0
         writer, position = split_seq(row.seq)
-        stripe, place = divmod(position, STRIPE)
-        sent = self._get(writer, row.node, stripe)
-        return (0, 0) if sent is None else (int(sent.delays[place]), int(sent.sequences[place]))
+        number, place = divmod(position, STRIPE)
+        stripe = self._get(writer, row.node, number)
+        if stripe is None:
+            return 0, 0
+        return int(stripe.delays[place]), int(stripe.sequences[place])
 
 
-def _nothing() -> SendTimes:
+def _empty_stripe() -> SendTimes:
     return SendTimes(np.zeros(STRIPE, np.int64), np.zeros(STRIPE, np.int64))
 
 
@@ -80,7 +89,7 @@ def _stripes(reader: MessageFile) -> Iterator[tuple[int, SendTimes]]:
     """
     if not reader.has_publish_times:
         return
-    number, stripe = 0, _nothing()
+    number, stripe = 0, _empty_stripe()
     for chunk in range(reader.chunk_count):
         try:
             times = reader.chunk_publish_times(chunk)
@@ -88,16 +97,16 @@ def _stripes(reader: MessageFile) -> Iterator[tuple[int, SendTimes]]:
             break  # the import of the messages tells it when it reaches this chunk
         if times is None:
             continue
-        taken = 0
+        taken = 0  # number of messages of the chunk that are in a stripe
         while taken < len(times.delays):
-            target, place = divmod(times.first + taken, STRIPE)
-            if target != number:
+            number_now, place = divmod(times.first + taken, STRIPE)
+            if number_now != number:
                 if stripe.delays.any() or stripe.sequences.any():
                     yield number, stripe
-                number, stripe = target, _nothing()
+                number, stripe = number_now, _empty_stripe()
             count = min(STRIPE - place, len(times.delays) - taken)
-            for whole, column in zip(stripe, (times.delays, times.sequences)):
-                whole[place : place + count] = column[taken : taken + count]
+            stripe.delays[place : place + count] = times.delays[taken : taken + count]
+            stripe.sequences[place : place + count] = times.sequences[taken : taken + count]
             taken += count
     if stripe.delays.any() or stripe.sequences.any():
         yield number, stripe

@@ -36,9 +36,10 @@ _PARTS = 8
 """Number of places in a stored topic, evenly spaced in time, from which messages are sampled."""
 _ROW_PIECE = 16 << 10
 _BLOB_PIECE = 64 << 10
-"""Sizes of the pieces that Cassandra compresses: of rows, and of blocks and chunks, bytes."""
+"""Sizes of the pieces that Cassandra compresses, bytes: in tables of rows, and in tables of blocks
+and of chunks."""
 _PIECE_BYTES = 12
-"""Checksum and place in the file of one compressed piece, bytes."""
+"""Size of the checksum of one compressed piece, and of its place in the file, bytes."""
 _ROW = struct.Struct(">BHqqBIBqi")
 """Flags and size of a row, ``_t``, ``_seq``, time of writing, ``_conn`` and ``_size``."""
 _BATCH_NS = 200_000_000
@@ -65,6 +66,7 @@ class TopicSample:
         table: Name of the topic's table; '' = it was read from a file.
         count: Number of messages of the topic.
         wires: The sampled messages.
+        nbytes: Size of the sampled messages, bytes.
     """
 
     topic: str
@@ -89,7 +91,7 @@ class TopicSample:
 
     @property
     def message_bytes(self) -> float:
-        """Mean size of the topic's messages, bytes."""
+        """Mean size of the topic's messages, bytes; 0 = unknown."""
         return self.mean_bytes or (self.nbytes / len(self.wires) if self.wires else 0.0)
 
 
@@ -98,34 +100,38 @@ def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) ->
     numbers = connections_of_topics(reader, topics)
     seconds = (reader.end_ns - reader.start_ns) / SECOND_NS
     samples: dict[tuple[str, Kind], TopicSample] = {}
-    of: dict[int, TopicSample] = {}
+    sample_of: dict[int, TopicSample] = {}
+    """Connection number -> sample; connections of one topic and type have one sample."""
     for number in sorted(numbers):
         connection = reader.connections[number]
         key = (connection.topic, connection_kind(connection))
         if key not in samples:
-            definition = _usable(connection.type, connection.definition_text, connection.md5sum)
+            definition = _usable_definition(
+                connection.type, connection.definition_text, connection.md5sum
+            )
             samples[key] = TopicSample(
                 connection.topic, connection.type, connection.md5sum, definition
             )
-        of[number] = samples[key]
-        of[number].count += reader.counts[number]
+        sample_of[number] = samples[key]
+        samples[key].count += reader.counts[number]
     for sample in samples.values():
         sample.rate_hz = sample.count / seconds if seconds > 0 else None
-    wanted = set(of)
+    unfilled = set(sample_of)
     for chunk in range(reader.chunk_count):
-        if not wanted:
+        if not unfilled:
             break
-        for message in reader.chunk_messages(chunk, wanted):
-            sample = of[message.number]
-            if message.number in wanted and not sample.add_message(
+        # The set shrinks in the loop, and chunk_messages goes by it at once.
+        for message in reader.chunk_messages(chunk, unfilled):
+            sample = sample_of[message.number]
+            if message.number in unfilled and not sample.add_message(
                 message.t_ns, message.data, most
             ):
-                wanted -= {number for number, other in of.items() if other is sample}
+                unfilled -= {number for number, other in sample_of.items() if other is sample}
     return list(samples.values())
 
 
 def sample_topic(topic: CassandraTopic, infos: Sequence[TopicInfo], most: int) -> list[TopicSample]:
-    """Sample the messages of a stored topic, a sample for each of its tables.
+    """Sample the messages of a stored topic, a sample for each of its tables that has messages.
 
     Args:
         infos: Numbers of the topic's messages, by table and robot.
@@ -133,8 +139,8 @@ def sample_topic(topic: CassandraTopic, infos: Sequence[TopicInfo], most: int) -
     """
     samples = []
     for table in topic.tables:
-        mine = [info for info in infos if info.table == table.name and info.count]
-        count = sum(info.count for info in mine)
+        filled = [info for info in infos if info.table == table.name and info.count]
+        count = sum(info.count for info in filled)
         if not count:
             continue
         metadata = table.metadata
@@ -143,13 +149,13 @@ def sample_topic(topic: CassandraTopic, infos: Sequence[TopicInfo], most: int) -
             metadata.msg_type,
             metadata.md5sum,
             table.definition,
-            sum(info.rate_hz or 0.0 for info in mine) or None,
-            sum(info.bytes for info in mine) / count,
-            metadata.format,
-            table.name,
-            count,
+            rate_hz=sum(info.rate_hz or 0.0 for info in filled) or None,
+            mean_bytes=sum(info.bytes for info in filled) / count,
+            stored_format=metadata.format,
+            table=table.name,
+            count=count,
         )
-        _fill(sample, topic, mine, most)
+        _fill(sample, topic, filled, most)
         samples.append(sample)
     return samples
 
@@ -157,7 +163,12 @@ def sample_topic(topic: CassandraTopic, infos: Sequence[TopicInfo], most: int) -
 def _fill(
     sample: TopicSample, topic: CassandraTopic, infos: Sequence[TopicInfo], most: int
 ) -> None:
-    """Read messages from several parts of the topic's time."""
+    """Add messages from several times of a topic to the sample of one of its tables.
+
+    Args:
+        infos: Numbers of the messages in the table, at least one.
+        most: Maximum number of messages in the sample.
+    """
     if infos[0].key in NAMED_FORMATS:
         starts: Sequence[Stamp | None] = [None]
     else:
@@ -175,7 +186,8 @@ def _fill(
                 return
 
 
-def _usable(msg_type: str, text: str, md5sum: str) -> Definition | None:
+def _usable_definition(msg_type: str, text: str, md5sum: str) -> Definition | None:
+    """Return the definition of a connection; None if it is unusable, see read_definition."""
     try:
         return read_definition(msg_type, text, md5sum)
     except DefinitionError:
@@ -193,10 +205,12 @@ class FormatSize:
 
 
 def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, FormatSize | None]:
-    """Return the size of a message of a topic in each format; None = the format cannot hold it.
+    """Return the size of a message of a topic in each format.
+
+    None = the format cannot hold it, or the sample is empty.
 
     Args:
-        block_sec: Format ``packed``: time that a recorder fills a block at most, s.
+        block_sec: Format ``packed``: maximum time in which a recorder fills a block, s.
     """
     sizes: dict[str, FormatSize | None] = {}
     for name in FORMAT_NAMES:
@@ -211,11 +225,12 @@ def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, FormatSize |
 
 
 def _mean(sample: TopicSample, parts: Iterable[tuple[bytes, int]]) -> FormatSize | None:
-    """Return the mean size of a message from the encoded bytes of the sample.
+    """Return the mean size of a message from the encoded bytes of the sample; None = it is empty.
 
     Args:
-        parts: Bytes as they lie in a file, and the size of the pieces that are compressed.
+        parts: Bytes as they lie in a file, and _ROW_PIECE or _BLOB_PIECE.
     """
+    # Files of rows and of blobs are compressed apart. A piece is full before it is compressed.
     waiting = {_ROW_PIECE: bytearray(), _BLOB_PIECE: bytearray()}
     plain = disk = 0
     for data, piece in parts:
@@ -233,12 +248,14 @@ def _mean(sample: TopicSample, parts: Iterable[tuple[bytes, int]]) -> FormatSize
 
 
 def _compressed_size(data: bytes, piece: int) -> int:
+    """Return the size on disk of one piece; it is not compressed where that saves too little."""
     size = len(lz4.block.compress(data, store_size=False))
     worth = 1.1 if piece == _BLOB_PIECE else 1.0  # min_compress_ratio of store/tables/schema.py
     return _PIECE_BYTES + (size if size * worth < len(data) else len(data))
 
 
 def _rows(encoder: CassandraTopic_, sample: TopicSample) -> Iterable[tuple[bytes, int]]:
+    """Yield the rows of a sample, and the chunks of large messages, see _mean."""
     for n, (t_ns, wire) in enumerate(sample.wires):
         columns, _, raw = encoder.encode_wire(wire)
         chunked = len(wire) > LARGE_MESSAGE_CHUNK_BYTES
@@ -255,6 +272,7 @@ def _rows(encoder: CassandraTopic_, sample: TopicSample) -> Iterable[tuple[bytes
 def _blocks(
     encoder: CassandraTopic_, sample: TopicSample, block_sec: float
 ) -> Iterable[tuple[bytes, int]]:
+    """Yield the blocks of a sample, as BlockBuilder would make them, see _mean."""
     at = 0
     rate = sample.rate_hz or float(MAX_BLOCK_MESSAGES)
     most = max(1, min(MAX_BLOCK_MESSAGES, round(rate * block_sec)))
@@ -269,11 +287,11 @@ def _blocks(
         wires = [wire for _, wire in sample.wires[at:stop]]
         zones = encoder.zones(wires)[0]
         if len(wires[0]) > LARGE_MESSAGE_CHUNK_BYTES:
-            data, rest = b"", wires[0]
+            data, chunks = b"", wires[0]
         else:
-            data, rest = pack_block(sorted(times), list(range(at, stop)), wires, None), b""
+            data, chunks = pack_block(sorted(times), list(range(at, stop)), wires, None), b""
         yield _row(times[0], at, nbytes, [*zones, data]), _BLOB_PIECE
-        yield rest, _BLOB_PIECE
+        yield chunks, _BLOB_PIECE
         at = stop
 
 

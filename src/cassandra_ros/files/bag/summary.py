@@ -22,7 +22,7 @@ class TopicSummary:
     messages: int
     connections: int
     frequency: float | None
-    """Hz."""
+    """Median rate, Hz; None = unknown."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,12 @@ class Summary:
         return None if fact is None else str(fact)
 
     def _types(self) -> list[str]:
+        """Return the lines about the types."""
         width = max(map(len, self.types), default=0)
         return [f"{name:<{width}} [{md5sum}]" for name, md5sum in self.types.items()]
 
     def _topics(self) -> list[str]:
+        """Return the lines about the topics, in columns."""
         rates = [
             "" if topic.frequency is None else scaled(topic.frequency, 1000, ("Hz", "kHz", "MHz"))
             for topic in self.topics
@@ -101,6 +103,7 @@ class Summary:
 
 
 def _facts(topic: TopicSummary) -> dict[str, object]:
+    """Return the facts about a topic for YAML."""
     facts: dict[str, object] = {"topic": topic.topic, "type": topic.type}
     facts["messages"] = topic.messages
     if topic.connections > 1:
@@ -111,6 +114,7 @@ def _facts(topic: TopicSummary) -> dict[str, object]:
 
 
 def _head_lines(head: str, lines: Sequence[str]) -> list[tuple[str, str]]:
+    """Return (head, line) of each line; only the first one has the head."""
     return [(head if n == 0 else "", line) for n, line in enumerate(lines)]
 
 
@@ -124,6 +128,7 @@ def scaled(value: float, step: int, units: Sequence[str]) -> str:
 
 
 def _duration(seconds: float) -> str:
+    """Return a duration as rosbag writes it: '5.0s', '1:05s (65s)' or '1hr 1:05s (3665s)'."""
     minutes = int(seconds / 60)
     if not minutes:
         return f"{seconds:.1f}s"
@@ -134,5 +139,6 @@ def _duration(seconds: float) -> str:
 
 
 def _moment(seconds: float) -> str:
+    """Return a time as rosbag writes it: local, and as seconds since 1970."""
     day = time.strftime("%b %d %Y %H:%M:%S", time.localtime(seconds))
     return f"{day}{f'{seconds % 1:.2f}'[1:]} ({seconds:.2f})"
