@@ -56,28 +56,28 @@ more, they are read again, once for each connection."""
 _ROW_BYTES = 1000
 """Approximate memory that a row needs in addition to its message, bytes."""
 
-Read = Callable[["Time | None", "Time | None"], Iterator[StoredRow]]
+RowsReceived = Callable[["Time | None", "Time | None"], Iterator[StoredRow]]
 """Function that reads the rows of a time range (ends included) in the order of receive time."""
 
 
-def in_bag_order(read: Read, start: Time | None, end: Time | None) -> Iterator[StoredRow]:
+def in_bag_order(read: RowsReceived, start: Time | None, end: Time | None) -> Iterator[StoredRow]:
     """Yield the rows that ``read`` returns; rows of equal time are sorted by connection number.
 
     Memory: the messages of one receive time, at most SORTED_BYTES and one message. Above that limit
     the messages of this time are read again, once for each connection.
     """
-    for t_ns, same in groupby(read(start, end), attrgetter("received")):
+    for t_ns, group in groupby(read(start, end), attrgetter("received")):
         rows: list[StoredRow] = []
         numbers: set[int] = set()
-        held = 0
-        for row in same:
+        nbytes = 0
+        for row in group:
             numbers.add(_number(row))
-            held += row.size + _ROW_BYTES
-            if held <= SORTED_BYTES:
+            nbytes += row.size + _ROW_BYTES
+            if nbytes <= SORTED_BYTES:
                 rows.append(row)
             else:
                 rows.clear()
-        if held <= SORTED_BYTES:
+        if nbytes <= SORTED_BYTES:
             yield from rows if len(numbers) == 1 else sorted(rows, key=_number)
             continue
         at = Stamp.from_ns(t_ns)
@@ -86,6 +86,7 @@ def in_bag_order(read: Read, start: Time | None, end: Time | None) -> Iterator[S
 
 
 def _number(row: StoredRow) -> int:
+    """Return the number of a row's connection in its bag; -1 for that of a recording."""
     return row.connection.number
 
 
@@ -180,7 +181,10 @@ class RunContents:
         self._store, self._name, self._node, self._run = store, name, node, run
 
     def topics(self, names: TopicNames) -> list[CassandraTopic]:
-        """Return the stored topics that rosbag selects by these names; no name = all of them."""
+        """Return the topics of the keyspace that rosbag selects by these names; no name = all.
+
+        Topics of which these runs have no message are among them.
+        """
         stored = self._store.getAllTopics()
         wanted = [] if names is None else check_list("topics", names, "['/tf']")
         if not wanted or (isinstance(names, str) and not names):
@@ -197,11 +201,11 @@ class RunContents:
             The topics with at least one accepted connection, and the accepted connections as
             (table name, ``_conn``).
         """
-        named = {table.name: topic.name for topic in topics for table in topic.tables}
+        topic_of = {table.name: topic.name for topic in topics for table in topic.tables}
         passing = {
             (table, conn)
             for table, conn, connection in self.connections(topics)
-            if test(*_describe(0, named[table], connection)[1:])
+            if test(*_describe(0, topic_of[table], connection)[1:])  # [0] is the number
         }
         tables = {table for table, _ in passing}
         return [t for t in topics if any(table.name in tables for table in t.tables)], passing
@@ -209,14 +213,17 @@ class RunContents:
     def connections(
         self, topics: Sequence[CassandraTopic]
     ) -> Iterator[tuple[str, int, Connection]]:
-        """Yield table, ``_conn`` and connection of all connections of topics."""
+        """Yield table, ``_conn`` and connection of all stored connections of topics, of any run."""
         tables = {table.name for topic in topics for table in topic.tables}
         return self._store.catalog.keyspace.connections.of_tables(tables)
 
     def held_connections(
         self, topics: Iterable[CassandraTopic]
     ) -> Iterator[tuple[str, Connection]]:
-        """Yield the connections that have messages in the bag, with the names of their topics."""
+        """Yield the connections that have messages in the bag, with the names of their topics.
+
+        The rows of a topic are read until all its connections were seen, else to the end.
+        """
         for topic in topics:
             missing = {
                 (table, conn): connection for table, conn, connection in self.connections([topic])
@@ -273,11 +280,9 @@ class RunContents:
             # The keys of these topics are not receive times, so all their rows are read.
             timed = [t.name for t in self.topics(None) if t.name not in own_time_topics]
             times = [ns for i in self.infos(timed) for ns in (i.first_ns or 0, i.last_ns or 0)]
-            rows = (
-                self._store.getTopic(n).rows(run=self._run, nodeID=self._node)
-                for n in own_time_topics
-            )
-            times += [row.received for topic_rows in rows for row in topic_rows]
+            for name in own_time_topics:
+                rows = self._store.getTopic(name).rows(run=self._run, nodeID=self._node)
+                times += [row.received for row in rows]
         if not times:
             raise bag_error(f"Bag contains no message: {self._name}")
         return min(times), max(times)
@@ -296,6 +301,8 @@ class BagRun:
         self._store = store
         self._before = before
         self._handles: dict[object, Handle] = {}
+        """Handle by connection, where the caller gave a header; else by topic, type, md5 and text.
+        """
         self._counter = count()
         self._numbers: Iterator[int] | None = None
         """Numbers for new connections; None = the highest stored number is not known yet."""
@@ -311,7 +318,7 @@ class BagRun:
         raw: bool,
         connection_header: Mapping[str, str | bytes] | None,
     ) -> None:
-        """Write a message, see Bag.write."""
+        """Write a message, see Bag.write; errors are the same."""
         ns = clock_ns(None) if t is None else to_ns(t)
         if raw:
             if not isinstance(msg, (tuple, list)) or len(msg) not in (4, 5):
@@ -322,23 +329,29 @@ class BagRun:
                 raise TypeMismatch(f"{msg!r:.80} is not a message: give a message object")
             cls, wire = type(msg), serialize(msg)
             kind, md5sum = cls._type, cls._md5sum
-        # Definitions that differ in the brackets of arrays of messages have the same md5.
+        # With the text: definitions that differ in brackets of arrays of messages have one md5.
         key: object = (topic, kind, md5sum, getattr(cls, "_full_text", None))
         if connection_header is not None:
             key = live_connection(check_new_topic(topic), connection_header)
         handle = self._handles.get(key)
         if handle is None:
-            made = key if isinstance(key, Connection) else _connection(topic, kind, md5sum, cls)
-            made = replace(made, number=self._next_number())
-            handle = self._handles[key] = self._writer.connect(made)
+            connection = (
+                key if isinstance(key, Connection) else _connection(topic, kind, md5sum, cls)
+            )
+            connection = replace(connection, number=self._next_number())
+            handle = self._handles[key] = self._writer.connect(connection)
         self._writer.write(handle, ns, next(self._counter), wire)
 
     def _next_number(self) -> int:
-        """Return the number of a new connection: higher than all that the bag had when opened."""
+        """Return the number of a new connection: higher than all that the bag had when opened.
+
+        So messages of equal time are read in the order in which their connections were written
+        first.
+        """
         if self._numbers is None:
-            held = [info.table for info in self._store.info(run=self._before)]
+            tables = [info.table for info in self._store.info(run=self._before)]
             stored = (
-                self._store.catalog.keyspace.connections.of_tables(held) if self._before else ()
+                self._store.catalog.keyspace.connections.of_tables(tables) if self._before else ()
             )
             self._numbers = count(
                 max((connection.number for _, _, connection in stored), default=-1) + 1
@@ -410,17 +423,19 @@ class Bag:
             raise InvalidOption("a run that is written needs a name: Bag('patrol', 'w')")
         if options is not None and not isinstance(options, Mapping):
             raise InvalidOption("options must be a dict: {'compression': 'bz2'}")
-        given: dict[str, Any] = {"compression": compression, "chunk_threshold": chunk_threshold}
-        given.update(options or {})
-        self.compression, self.chunk_threshold = given["compression"], given["chunk_threshold"]
+        settings: dict[str, Any] = {"compression": compression, "chunk_threshold": chunk_threshold}
+        settings.update(options or {})
+        self.compression = settings["compression"]
+        self.chunk_threshold = settings["chunk_threshold"]
         self.mode = mode
         self._file = f if isinstance(f, io.IOBase) else None
         name = "" if f is EVERYTHING else _path_of(f)
-        self._own = rosCas is None
+        self._owns_store = rosCas is None
         self._store = rosCas or RosCassandra(keyspace=from_environment("KEYSPACE") or "ros")
         self._node = nodeID
         self._closed = False
-        self._writer: BagRun | None = None
+        self._new_run: BagRun | None = None
+        """Run that is written; None = the mode is 'r'."""
         try:
             self.filename = name or str(self._store.keyspace)
             runs = None if f is EVERYTHING else self._open(format)
@@ -457,7 +472,12 @@ class Bag:
         self._chunk_threshold = size
 
     def _open(self, format: str | None) -> frozenset[int]:
-        """Return the writer ids of the bag's runs. If the mode is 'w' or 'a', begin a new run."""
+        """Return the writer ids of the bag's runs. If the mode is 'w' or 'a', begin a new run.
+
+        Raises:
+            BagNotFound, BagError: As the class. With mode 'a' a run may be missing, but not where a
+                file has this name: its messages would seem to be in the new run.
+        """
         name, runs = self.filename, self._store.catalog.keyspace.registry.runs()
         if self.mode == "w":
             writers = _make_room(self._store, self._node or "", name, runs)
@@ -467,11 +487,11 @@ class Bag:
         if self.mode == "r":
             return writers or _writers_named(self._store, name, runs)
         if self.mode == "a" and not writers and os.path.isfile(name) and os.path.getsize(name):
-            _writers_named(self._store, name, runs)
+            _writers_named(self._store, name, runs)  # raises BagNotFound
         writer = new_writer_id()
         base, source = os.path.basename(name), source_of(name)
         run = Run(self._node or "", writer, "api", base, source, format or "")
-        self._writer = BagRun(self._store, run, writers)
+        self._new_run = BagRun(self._store, run, writers)
         atexit.register(self.close)  # a script that does not close the bag loses no messages
         return writers | {writer}
 
@@ -506,12 +526,12 @@ class Bag:
         """
         contents = self._contents
         ends = start_time or None, _within_ros(end_time or None)
-        names, passing = contents.topics(topics), None
+        selected, passing = contents.topics(topics), None
         if connection_filter is not None:
-            names, passing = contents.filter_connections(names, connection_filter)
-        if not names:
+            selected, passing = contents.filter_connections(selected, connection_filter)
+        if not selected:
             return iter(())
-        rows = in_bag_order(partial(contents.rows_received, names), *ends)
+        rows = in_bag_order(partial(contents.rows_received, selected), *ends)
         return self._messages_of(rows, passing, raw, return_connection_header)
 
     def _messages_of(
@@ -521,6 +541,11 @@ class Bag:
         raw: bool,
         with_header: bool,
     ) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
+        """Yield the messages of rows as read_messages does.
+
+        Args:
+            passing: Table name and ``_conn`` of the connections that are read; None = all.
+        """
         if passing is not None:
             rows = (row for row in rows if (row.table.name, row.conn) in passing)
         if raw:
@@ -528,11 +553,11 @@ class Bag:
         else:
             pairs = with_messages(self._store.cassandra, rows)
         for row, message in pairs:
-            one = BagMessage(row.topic, message, Stamp.from_ns(row.received))
+            bag_message = BagMessage(row.topic, message, Stamp.from_ns(row.received))
             if with_header:
-                yield BagMessageWithConnectionHeader(*one, dict(row.connection.fields))
+                yield BagMessageWithConnectionHeader(*bag_message, dict(row.connection.fields))
             else:
-                yield one
+                yield bag_message
 
     def _get_connections(
         self, topics: TopicNames = None, connection_filter: ConnectionFilter | None = None
@@ -551,9 +576,9 @@ class Bag:
         numbers = [connection.number for _, connection in held]
         are_unique = len(set(numbers)) == len(numbers) and min(numbers, default=0) >= 0
         for place, (topic, connection) in enumerate(held):
-            one = _describe(connection.number if are_unique else place, topic, connection)
-            if connection_filter is None or connection_filter(*one[1:]):
-                yield one
+            described = _describe(connection.number if are_unique else place, topic, connection)
+            if connection_filter is None or connection_filter(*described[1:]):
+                yield described
 
     def __iter__(self) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
         return self.read_messages()
@@ -582,9 +607,9 @@ class Bag:
             InvalidKey, InvalidName, WriteFailed.
         """
         self._require_open()
-        if self._writer is None:
+        if self._new_run is None:
             raise bag_error(f"{self.filename} is open for reading: open it with mode 'w' or 'a'")
-        self._writer.write(topic, msg, t, raw, connection_header)
+        self._new_run.write(topic, msg, t, raw, connection_header)
 
     def get_message_count(self, topic_filters: TopicNames = None) -> int:
         """Return the number of messages of some topics, None = all, from the directory.
@@ -609,20 +634,23 @@ class Bag:
         """
         contents = self._contents
         counts = contents.counts()
-        known_topics = {t.name: t for t in contents.topics(None) if t.name in counts}
-        filters = list(known_topics) if topic_filters is None else topic_filters
+        filled_topics = {t.name: t for t in contents.topics(None) if t.name in counts}
+        filters = list(filled_topics) if topic_filters is None else topic_filters
         names_of = {
             name: [topic.name for topic in topics if topic.name in counts]
             for name, topics in contents.by_name(filters).items()
         }
         sampled = {name for names in names_of.values() for name in names}
-        named = {table.name: name for name, topic in known_topics.items() for table in topic.tables}
+        topic_of = {
+            table.name: name for name, topic in filled_topics.items() for table in topic.tables
+        }
         stored: dict[str, list[Connection]] = {}
-        for table, _, connection in contents.connections(list(known_topics.values())):
-            stored.setdefault(named[table], []).append(connection)
+        for table, _, connection in contents.connections(list(filled_topics.values())):
+            stored.setdefault(topic_of[table], []).append(connection)
         used: list[Connection] = []
         samples: dict[str, MessageSample] = {}
-        for name, topic in known_topics.items():
+        # Other runs may have connections of other types: only messages tell those of this bag.
+        for name, topic in filled_topics.items():
             connections = stored.get(name, [])
             if (
                 name in sampled
@@ -695,15 +723,15 @@ class Bag:
 
     @property
     def _contents(self) -> RunContents:
-        """What its runs hold, with all that was written until now."""
+        """What its runs hold, with all that was written until now; BagError if it is closed."""
         self.flush()
         return self._stored
 
     def flush(self) -> None:
         """Wait until the store has acknowledged all written messages, so that readers find them."""
         self._require_open()
-        if self._writer is not None:
-            self._writer.flush()
+        if self._new_run is not None:
+            self._new_run.flush()
 
     def _require_open(self) -> None:
         if self._closed:
@@ -719,10 +747,10 @@ class Bag:
         self._closed = True
         atexit.unregister(self.close)
         try:
-            if self._writer is not None:
-                self._writer.close()
+            if self._new_run is not None:
+                self._new_run.close()
         finally:
-            if self._own:
+            if self._owns_store:
                 self._store.close()
             if self._file is not None:
                 self._file.close()
@@ -755,7 +783,7 @@ class Bag:
 
 
 def _writers_named(store: RosCassandra, name: str, runs: Sequence[Run]) -> frozenset[int]:
-    """Return the writer ids for a name that no run has: the name may be a writer id itself.
+    """Return the writer ids for a name that no run has: it may be a writer id without a run.
 
     Raises:
         BagNotFound: It is not.
@@ -776,6 +804,9 @@ def _make_room(store: RosCassandra, node: str, name: str, runs: Sequence[Run]) -
     """Delete the runs that a Bag wrote to this path before, as rosbag overwrites its file.
 
     Return the writer ids of those that stay, because they belong to other robots.
+
+    Raises:
+        BagError: A run of another kind, or of another path, has this path or name.
     """
     before = runs_of_file(runs, name)
     named = [run for run in runs if run.name == name and run not in before]
@@ -786,14 +817,19 @@ def _make_room(store: RosCassandra, node: str, name: str, runs: Sequence[Run]) -
             "not overwritten: add to it with mode 'a', choose another name or path, or remove "
             "it first with rosCas.upkeep.delete(run=…)"
         )
-    mine = frozenset(run.writer for run in before if run.node == node)
-    if mine:
-        store.upkeep.delete(run=mine)
-    return frozenset(run.writer for run in before) - mine
+    deleted = frozenset(run.writer for run in before if run.node == node)
+    if deleted:
+        store.upkeep.delete(run=deleted)
+    return frozenset(run.writer for run in before) - deleted
 
 
 def _path_of(f: object) -> str:
-    """Return the path of a file name or of a file object."""
+    """Return the path of a file name or of a file object.
+
+    Raises:
+        BagError: The file object is not a binary one.
+        InvalidOption: There is no path.
+    """
     if isinstance(f, io.IOBase):
         if "b" not in getattr(f, "mode", "b"):
             raise bag_error("a file object must be opened in binary mode: open(path, 'rb')")
@@ -809,11 +845,16 @@ def _path_of(f: object) -> str:
 
 
 def _raw(row: StoredRow) -> tuple[object, ...]:
+    """Return a message as rosbag does with raw=True, see BagMessage."""
     return (row.type, row.wire, row.connection.md5sum, row.position, row.message_class())
 
 
 def _connection(topic: str, kind: str, md5sum: str, cls: Any) -> Connection:
-    """Make a connection for messages whose publisher is unknown."""
+    """Make a connection for messages whose publisher is unknown.
+
+    Args:
+        cls: Class of the messages; without a definition of its own the installed one is taken.
+    """
     text = getattr(cls, "_full_text", None) or installed_definition(kind).text
     header = {"topic": topic, "type": kind, "md5sum": md5sum, "message_definition": text}
     return live_connection(check_new_topic(topic), header)
@@ -839,7 +880,13 @@ def _within_ros(end: Time | None) -> Time | None:
 
 
 def _nearest_seconds(ns: int, fits: Callable[[int], bool], towards: float) -> float:
-    """Return the float nearest to a time, s, of which every usual conversion fits, ns."""
+    """Return the float nearest to a time, s, of which every usual conversion fits.
+
+    Args:
+        ns: The time, ns.
+        fits: Whether the result of a conversion, ns, may be returned.
+        towards: In which direction another float is searched: 0.0 or infinity.
+    """
     seconds: float = Stamp.from_ns(ns).to_sec()
     while not all(
         fits(time)
