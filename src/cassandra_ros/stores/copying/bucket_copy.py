@@ -29,10 +29,11 @@ took longer is found when no client writes its bucket any more: then all keys ar
 _Entry = Tuple[int, int]
 """Bucket and writer id."""
 Books = Mapping[_Entry, CopiedBucket]
+"""What the books of a target say of the buckets of one table and node."""
 
 
 class BucketGroup(NamedTuple):
-    """Some buckets of one node that are copied together: those of one bucket there."""
+    """Buckets of one node that are copied together, since they lie in one bucket there."""
 
     node: str
     entries: Sequence[BucketRow]
@@ -46,7 +47,7 @@ class BucketGroup(NamedTuple):
 
 @dataclass(frozen=True)
 class CopySelection:
-    """The messages of a topic that are copied, and what else is done."""
+    """The messages of a topic that are copied, and whether deletions are repeated."""
 
     time_range: TimeRange = ALWAYS
     """Time range of the keys."""
@@ -57,12 +58,12 @@ class CopySelection:
 
 @dataclass
 class CopyCount:
-    """Numbers of what was done."""
+    """Numbers of what was copied and deleted."""
 
     messages: int = 0
     """Number of messages that were sent."""
     bytes: int = 0
-    """Number of bytes that were sent."""
+    """Number of bytes that were sent; where messages are decoded, of serialised messages."""
     deleted: int = 0
     """Number of messages that were deleted there."""
     damaged: list[str] = field(default_factory=list)
@@ -88,7 +89,7 @@ class PieceCopy:
         target: Id of the target in the books.
         sent: Called with each number of bytes before they are sent; it may wait.
         choose: Reads the messages that a rule takes; None = all are copied.
-        rule: Returns what the books say of the messages that a rule takes of a bucket; '' = all.
+        rule: Returns what the books call the messages that a rule takes of a bucket; '' = all.
     """
 
     def __init__(
@@ -110,9 +111,12 @@ class PieceCopy:
     def run(self, piece: BucketGroup, books: Books, *, again: bool = False) -> CopyCount:
         """Copy what is not confirmed of a piece, and note in the books what is then.
 
+        The order matters: server time, directory, rows, directory again, books. So the books never
+        say more than what is true, whatever clients write meanwhile.
+
         Args:
             books: What the books say.
-            again: Copy all of it, whatever the books say.
+            again: Copy all of it, and delete nothing there, whatever the books say.
         """
         here = self._pair.here
         seen = here.cassandra.server_time_us()
@@ -144,7 +148,10 @@ class PieceCopy:
         return [row for row in rows if (row.bucket, row.writer) in keys]
 
     def _piece_books(self, rows: Sequence[BucketRow], books: Books) -> Books:
-        """Return the entries of the books that tell of the same messages in the same table."""
+        """Return the entries of the books for the rows of a piece that still count.
+
+        They are those of a table there that has the rows now, by no rule or by the present one.
+        """
         piece_books: dict[_Entry, CopiedBucket] = {}
         for row in rows:
             book = books.get((row.bucket, row.writer))
@@ -154,6 +161,7 @@ class PieceCopy:
         return piece_books
 
     def _is_confirmed(self, row: BucketRow, books: Books) -> bool:
+        """Return whether the target has all that the rule takes of a bucket, by the books."""
         book = books.get((row.bucket, row.writer))
         return book is not None and book.confirms(row, self._pair.names, self._rule(row))
 
@@ -171,16 +179,21 @@ class PieceCopy:
         count: CopyCount,
         taken: dict[_Entry, tuple[int, int]],
     ) -> list[BucketRow]:
-        """Copy rows; return what the directory here says afterwards.
+        """Copy what is still to be copied of a piece; return what the directory here says then.
 
         Args:
-            taken: Gets the number of messages that a rule takes, and of their bytes.
+            before: What the directory said of the piece before.
+            rows: Those entries of ``before`` that are not confirmed.
+            books: What the books say, see _piece_books.
+            count: Gets the numbers of what was sent, and what is damaged.
+            taken: Gets the number of messages that a rule takes, and of their bytes, by bucket and
+                writer, if messages are decoded.
         """
         pair = self._pair
         parts: list[Part] = []
         for bucket in sorted({row.bucket for row in rows}):
-            mine = [row for row in rows if row.bucket == bucket]
-            parts += self._parts(piece.node, mine, books)
+            bucket_rows = [row for row in rows if row.bucket == bucket]
+            parts += self._parts(piece.node, bucket_rows, books)
         columns = None if self._choose is not None else pair.columns
         if columns is None or self._is_cut_otherwise(piece, rows, books):
             # A block has messages that are later than its key.
@@ -193,6 +206,7 @@ class PieceCopy:
             count.messages, count.bytes = converted.messages, converted.bytes
             return self._present(piece)
         filled: dict[int, frozenset[str]] = {}
+        """Writer → index columns there that get values in all of its rows."""
         for row in rows:
             shadows = pair.filled(row.filled)
             filled[row.writer] = filled.get(row.writer, shadows) & shadows
@@ -209,7 +223,7 @@ class PieceCopy:
         after = self._present(piece)
         writing = {row.writer for row in before if not (is_settled(row) and _is_same(row, after))}
         done = {row.writer for row in before} - writing
-        # Rows of a part were counted only in part.
+        # The counts are those of the rows that were sent now: not of all, if some were there.
         has_books = any((row.bucket, row.writer) in books for row in before)
         whole = not has_books and all(map(self._is_covered, rows))
         buckets.close(done, copy.counts.totals if whole else {})
@@ -253,7 +267,11 @@ class PieceCopy:
         return self._pair.target.bucket_of(bucket * self._pair.source.bucket_ns)
 
     def _parts(self, node: str, rows: Sequence[BucketRow], books: Books) -> Iterator[Part]:
-        """Yield what is still to be copied of one bucket."""
+        """Yield what is still to be copied of one bucket: one part, or none.
+
+        Args:
+            rows: Entries of the directory for this bucket, at least one.
+        """
         source, (low, high) = self._pair.source, self._selection.time_range
         bucket, writers = rows[0].bucket, frozenset(row.writer for row in rows)
         ends = (low, MIN_SEQ), (high, MAX_SEQ)
@@ -266,10 +284,10 @@ class PieceCopy:
             yield bucket_part  # a copy that decodes messages compares their keys itself
             return
         since_us = max(0, min(book.seen for book in booked) - SEEN_MARGIN_US)
-        mine = row_keys(source, node, bucket, writers)
-        keys = {key for key, written_us in mine.items() if written_us > since_us}
+        keys_here = row_keys(source, node, bucket, writers)
+        keys = {key for key, written_us in keys_here.items() if written_us > since_us}
         if settled:  # then those are in it, too, of blocks that grew
-            keys |= mine.keys() - self._keys_there(node, bucket, writers)
+            keys |= keys_here.keys() - self._keys_there(node, bucket, writers)
         if keys:
             first, last = max(min(keys), ends[0]), min(max(keys), ends[1])
             yield bucket_part._replace(ends=(first, last), keys=frozenset(keys))
@@ -287,7 +305,7 @@ class PieceCopy:
         }
 
     def _delete(self, node: str, rows: Sequence[BucketRow], books: Books) -> int:
-        """Delete there what was deleted here since it was copied."""
+        """Delete there what was deleted here since it was copied; return the number of messages."""
         deleted = 0
         for row in rows:
             book = books.get((row.bucket, row.writer))
@@ -305,7 +323,11 @@ class PieceCopy:
         return any(book.released for book in books if (book.bucket, book.writer) == place)
 
     def _beat_there(self, row: BucketRow) -> datetime | None:
-        """Return the heartbeat of the target's entry that stands for all rows of a bucket."""
+        """Return the heartbeat of the target's entry that stands for all rows of a bucket.
+
+        Return None if no closed entry there does, or that is not certain: a fleet then reads both
+        stores.
+        """
         source, target = self._pair.source, self._pair.target
         if source.bucket_ns != target.bucket_ns or not self._pair.there.cassandra.finds_all_written:
             return None
@@ -319,6 +341,14 @@ class PieceCopy:
         return entries[0].heartbeat if entries else None
 
     def _note(self, row: BucketRow, seen: int, final: bool, numbers: tuple[int, int]) -> None:
+        """Write the entry of a bucket in the books, after all of it is acknowledged.
+
+        Args:
+            row: What the directory said before the rows were read.
+            seen: Server time before that, us.
+            final: See CopiedBucket.
+            numbers: Number of messages that are there, and of their bytes.
+        """
         entry = CopiedBucket(
             node=row.node,
             bucket=row.bucket,

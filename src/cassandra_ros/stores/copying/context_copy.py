@@ -21,7 +21,7 @@ _SENT_COLUMNS = ("writer", "node", "stripe", "sent")
 
 
 def copy_headers(pairs: Collection[TablePair]) -> None:
-    """Copy all connection headers of some tables, also those without messages."""
+    """Copy all connection headers of some tables of one keyspace, also those without messages."""
     if not pairs:
         return
     by_table: dict[str, list[TablePair]] = {}
@@ -34,15 +34,16 @@ def copy_headers(pairs: Collection[TablePair]) -> None:
 
 
 def copy_metadata(pair: TablePair) -> None:
-    """Add keys of the user's own, and the comment, where the topic there has none."""
-    mine, theirs = pair.source.metadata, pair.target.metadata
-    if _merge_metadata(mine, theirs) != theirs:
-        pair.there.schema.change_topic(pair.topic, lambda other: _merge_metadata(mine, other))
+    """Add the user's keys, and the comment, where the topic there has none."""
+    here, there = pair.source.metadata, pair.target.metadata
+    if _merge_metadata(here, there) != there:
+        pair.there.schema.change_topic(pair.topic, lambda other: _merge_metadata(here, other))
 
 
-def _merge_metadata(mine: TopicMetadata, theirs: TopicMetadata) -> TopicMetadata:
-    user = {**mine.user, **theirs.user}
-    return theirs.with_(user=user, comment=theirs.comment or mine.comment)
+def _merge_metadata(here: TopicMetadata, there: TopicMetadata) -> TopicMetadata:
+    """Return the metadata there with what only those here have."""
+    user = {**here.user, **there.user}
+    return there.with_(user=user, comment=there.comment or here.comment)
 
 
 def copy_runs(
@@ -67,9 +68,10 @@ def copy_runs(
         other = runs_there.get((run.writer, run.node))
         if other != run:
             _copy_rows(here, there, _SENT, _SENT_COLUMNS, run)
-            there.registry.put_run(run)  # last: of a run that is there the send times are there
+            # After the send times: once the run is equal there, these are not copied again.
+            there.registry.put_run(run)
             count += 1
-        if other != run or run.ended is None:
+        if other != run or run.ended is None:  # while it goes on, it gives signs of life
             _copy_rows(here, there, _CONTEXT, _CONTEXT_COLUMNS, run)
     return count
 
@@ -107,21 +109,21 @@ def copy_losses(
 def copy_events(here: Keyspace, there: Keyspace, within: TimeRange, whose: Whose) -> int:
     """Copy events; return the number of those that were new or different there.
 
-    An event that was deleted here stays there.
+    An event that was deleted here stays there. One that was changed there is overwritten.
 
     Args:
         within: Time range, ns; the events that meet it are copied.
         whose: Robots and writers of the events. Events of all robots, and of no run, go with them.
     """
-    mine, theirs = EventTable(here.side_tables), EventTable(there.side_tables)
+    table_here, table_there = EventTable(here.side_tables), EventTable(there.side_tables)
     # Both are read in the same order, so that one event of each is in memory, not all.
-    others = theirs.read(within=within)
-    other, count = next(others, None), 0
-    for event in mine.read(within=within):
+    events_there = table_there.read(within=within)
+    other, count = next(events_there, None), 0
+    for event in table_here.read(within=within):
         while other is not None and other.order() < event.order():
-            other = next(others, None)
+            other = next(events_there, None)
         if other != event and _is_selected(event, whose):
-            theirs.put(event)
+            table_there.put(event)
             count += 1
     return count
 

@@ -22,7 +22,7 @@ from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.stored_row import StoredRow
 
 Choose = Callable[[Read], Iterator[StoredRow]]
-"""Reads messages of the source, and yields those that are copied."""
+"""Function that reads messages of the source, and yields those that are copied, in order."""
 RENEW_SEC = 20.0
 """Interval at which the lock is renewed, s."""
 
@@ -30,12 +30,15 @@ RENEW_SEC = 20.0
 class ConvertedCopy:
     """Copies messages of one node into a table of another format. A context manager.
 
+    While it is entered it holds the lock of the table and the node in the target.
+
     Args:
         sent: Called with the size of each message before it is written; it may wait.
-        choose: Reads the messages that are copied; None = all.
+        choose: Reads the messages that are copied; None = all are.
 
     Attributes:
-        taken: Bucket and writer → numbers of messages that are copied, also before, and bytes.
+        taken: Bucket and writer → number of the messages that ``choose`` has yielded, and of their
+            bytes, whether they were written now or were there before.
         messages: Number of messages that were written.
         bytes: Number of their serialised bytes.
     """
@@ -48,7 +51,7 @@ class ConvertedCopy:
         choose: Choose | None = None,
     ) -> None:
         self._pair, self._node, self._sent = pair, node, sent
-        self._choose = choose or self._every
+        self._choose = choose or self._all_messages
         self.taken: dict[tuple[int, int], tuple[int, int]] = {}
         name = f"copy {pair.target.name} {node}"
         self._lock = SchemaLock(pair.there.cassandra, pair.there.name, name)
@@ -69,33 +72,42 @@ class ConvertedCopy:
             self._lock.__exit__(failure, *exc_info)
 
     def copy(self, bucket_part: Part) -> None:
-        """Write the messages of a bucket that are not there yet; return when they are stored."""
+        """Write the messages of a bucket that are not there yet; return when they are stored.
+
+        Args:
+            bucket_part: Its ``keys`` and ``since_us`` do not matter.
+
+        Raises:
+            SchemaConflict: The lock has run out, and another copy may hold it.
+        """
         length, bucket = self._pair.source.bucket_ns, int(bucket_part.where)
         low = max(bucket * length, bucket_part.ends[0][0])
         high = min((bucket + 1) * length - 1, bucket_part.ends[1][0], LAST_NS)
         read = Read(TimeRange(low, high), Whose((bucket_part.node,), bucket_part.writers))
-        there = {(row.t, row.seq) for row in self._bare(read)}
+        there = {(row.t, row.seq) for row in self._keys_there(read)}
         rows = self._count_rows(bucket, self._choose(read))
         self._write(row for row in rows if (row.t, row.seq) not in there)
 
     def copy_names(self, whose: Whose) -> None:
-        """Write the messages with names that are not there yet."""
+        """Write the messages with names that are not there yet; return when they are stored."""
         there = {key.position._replace(table="") for key in list_names(self._pair.target, None)}
         nodes = (self._node,)
         rows = self._pair.here.rows.read([self._pair.source], Read(whose=whose.both(Whose(nodes))))
         self._write(row for row in rows if row.position._replace(table="") not in there)
 
-    def _every(self, read: Read) -> Iterator[StoredRow]:
+    def _all_messages(self, read: Read) -> Iterator[StoredRow]:
         return self._pair.here.rows.read([self._pair.source], read)
 
     def _count_rows(self, bucket: int, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+        """Yield the rows of a bucket, and count them in ``taken``."""
         for row in rows:
             key = bucket, writer_of(row.seq)
             count, nbytes = self.taken.get(key, (0, 0))
             self.taken[key] = count + 1, nbytes + row.size
             yield row
 
-    def _bare(self, read: Read) -> Iterator[StoredRow]:
+    def _keys_there(self, read: Read) -> Iterator[StoredRow]:
+        """Yield the rows that the target has of a read, without columns."""
         bare = Read(read.time_range, read.whose, columns=lambda table: ())
         return self._pair.there.rows.read([self._pair.target], bare)
 

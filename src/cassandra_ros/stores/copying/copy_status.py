@@ -33,28 +33,31 @@ class TopicStatus:
     """Number of messages that the target has acknowledged."""
     copied_bytes: int = 0
     left_out: int = 0
-    """Number of messages that a rule does not take."""
+    """Number of messages that a rule does not take: neither copied nor waiting."""
     waiting: int = 0
     """Number of messages that are not confirmed there."""
     waiting_bytes: int = 0
     waiting_sec: float = 0.0
-    """Time ranges of the messages that wait, added up over robots and writers, s."""
+    """Approximate length of the time ranges of the messages that wait, added up over buckets and
+    writers, s."""
     refused: str = ""
     """Why the topic was not copied the last time; '' = it was."""
 
 
 def copy_status(catalog: Catalog, topics: Iterable[str] | None = None) -> list[TopicStatus]:
-    """Return what each target has of topics (None = all), by target and topic.
+    """Return what each target has of topics (None = all), sorted by target and topic.
 
-    Only the books and the directory here are read, so the target need not answer.
+    A target that is gone is left out. Only the books and the tables here are read, so no target
+    need answer.
 
     Raises:
         TopicNotFound: There is no such topic.
     """
     books = CopyBooks(catalog.keyspace.side_tables)
     entries: dict[UUID, dict[str, CopiedTable]] = {}
-    for entry in (table_entry for table_entry in books.tables() if not table_entry.gone):
-        entries.setdefault(entry.target, {})[entry.table] = entry
+    for entry in books.tables():
+        if not entry.gone:
+            entries.setdefault(entry.target, {})[entry.table] = entry
     tables = catalog.tables(topics)
     statuses: dict[tuple[str, str], TopicStatus] = {}
     for target, entry_of in entries.items():
@@ -62,10 +65,10 @@ def copy_status(catalog: Catalog, topics: Iterable[str] | None = None) -> list[T
         for table in tables:
             topic = table.metadata.topic
             status = statuses.setdefault((place, topic), TopicStatus(place, topic))
-            mine = entry_of.get(table.name)
-            if mine is not None:
-                status.refused = status.refused or mine.refused
-                if not (mine.there or mine.refused):
+            table_entry = entry_of.get(table.name)
+            if table_entry is not None:
+                status.refused = status.refused or table_entry.refused
+                if not (table_entry.there or table_entry.refused):  # no rule takes the table
                     status.left_out += count_rows(catalog.keyspace.directory, [table], EVERYTHING)
                     continue
             _add(catalog, books, target, table, status)
@@ -75,6 +78,7 @@ def copy_status(catalog: Catalog, topics: Iterable[str] | None = None) -> list[T
 def _add(
     catalog: Catalog, books: CopyBooks, target: UUID, table: TopicTable, status: TopicStatus
 ) -> None:
+    """Add what a target has of a table, by the books, to the numbers of its topic."""
     if table.named:
         _add_named(books, target, table, status)
         return
@@ -84,27 +88,29 @@ def _add(
     books_of = {(b.node, b.bucket, b.writer): b for b in books.buckets(target, table.name, slots)}
     for row in rows:
         book = books_of.get((row.node, row.bucket, row.writer))
-        known_rows, copied, nbytes, t_max = 0, 0, 0, row.t_min
+        # ``done`` counts the messages that were copied or left out by a rule; the rest waits.
+        done, copied, nbytes, t_max = 0, 0, 0, row.t_min
         # With fewer messages than the book tells of, some were deleted: what is there may be new.
         alike = book is not None and book.rows <= row.rows
         if book is not None and (row.cut or alike or book.confirms(row, [book.there])):
-            known_rows, copied = min(book.rows, row.rows), min(book.n, row.rows)
+            done, copied = min(book.rows, row.rows), min(book.n, row.rows)
             nbytes = book.bytes
             t_max = max(t_max, book.t_max)
             if row.cut or not (row.closed or book.rule or copied == row.rows):
                 # The books have what the directory said of a bucket that was being written.
-                known_rows = copied = row.rows - uncopied(table, row, [book]).messages
+                done = copied = row.rows - uncopied(table, row, [book]).messages
                 nbytes = row.bytes * copied // row.rows if row.rows else 0
         status.copied += copied
         status.copied_bytes += nbytes
-        status.left_out += known_rows - copied
-        if row.rows > known_rows:
-            status.waiting += row.rows - known_rows
-            status.waiting_bytes += row.bytes * (row.rows - known_rows) // row.rows
+        status.left_out += done - copied
+        if row.rows > done:
+            status.waiting += row.rows - done
+            status.waiting_bytes += row.bytes * (row.rows - done) // row.rows
             status.waiting_sec += max(0, row.t_max - t_max) / SECOND_NS
 
 
 def _add_named(books: CopyBooks, target: UUID, table: TopicTable, status: TopicStatus) -> None:
+    """Add what a target has of a table whose rows have names."""
     stored_books = books.buckets(target, table.name, books.slots(target, table.name))
     seen = {(book.node, book.writer): book.seen for book in stored_books}
     for row in named_rows(table, CopySelection()):
@@ -121,15 +127,16 @@ class Uncopied(NamedTuple):
 
     messages: int
     t_min: int
-    """Key time of the first of them, ns."""
+    """Key time of the first of them, ns; the bucket's if that is not known."""
     t_max: int
+    """Key time of the last of them, ns; the bucket's if that is not known."""
 
 
 def uncopied(table: TopicTable, row: BucketRow, books: Iterable[CopiedBucket]) -> Uncopied:
-    """Return what no target has of a bucket.
+    """Return what no target has of a bucket; where that is not known exactly, rather more.
 
     Args:
-        row: The bucket, with present counts.
+        row: The bucket of one writer, with present counts.
         books: What the books of the targets say of it.
     """
     # A closed bucket that was copied without being confirmed was read from too few copies.
@@ -141,6 +148,7 @@ def uncopied(table: TopicTable, row: BucketRow, books: Iterable[CopiedBucket]) -
     # After a deletion those that were copied may be the deleted ones.
     there = 0 if row.cut else max((min(book.n, row.rows) for book in books), default=0)
     most = row.rows - there
+    # A rule may have left out some of the rows that were written before the copy.
     seen = max((book.seen for book in books if not book.rule), default=0)
     if not seen:
         return Uncopied(most, row.t_min, row.t_max)

@@ -23,11 +23,13 @@ def delete_missing(
 ) -> int:
     """Delete the messages of a writer there that its bucket here does not have any more.
 
+    The caller knows that no client writes the bucket, or that rows were deleted in it.
+
     Args:
         released: Returns whether messages of the bucket are deleted here because they are there.
 
     Returns:
-        Their number.
+        The number of the messages that were deleted.
     """
     if _expire_here(pair):
         return 0
@@ -47,7 +49,10 @@ def delete_missing(
 
 
 def delete_missing_names(pair: TablePair, writers: frozenset[int]) -> int:
-    """Delete the messages with names of some writers there that are not here any more."""
+    """Delete the messages with names of some writers there that are not here any more.
+
+    Return their number.
+    """
     if _expire_here(pair):
         return 0
     keys = {key.position._replace(table="") for key in list_names(pair.source, None)}
@@ -57,11 +62,12 @@ def delete_missing_names(pair: TablePair, writers: frozenset[int]) -> int:
 
 
 def _expire_here(pair: TablePair) -> bool:
-    """Return whether messages expire here and stay there, so that not all were deleted here."""
+    """Return whether messages expire here and stay there: one that is missing may have expired."""
     return bool(pair.source.metadata.ttl) and not pair.target.metadata.ttl
 
 
 def _rows_there(pair: TablePair, read: Read) -> Iterator[StoredRow]:
+    """Yield the rows that the target has of a read, without columns."""
     bare = Read(read.time_range, read.whose, columns=lambda table: ())
     return pair.there.rows.read([pair.target], bare)
 
@@ -83,7 +89,7 @@ def delete_removed(
             low = ends.get((book.node, book.writer), 0)
             ends[book.node, book.writer] = max(low, book.t_max + 1)
             if book.released or (book.rule and not book.n):
-                continue
+                continue  # deleted here for room, or never copied
             whose = Whose((book.node,), frozenset([book.writer]))
             time_range = TimeRange() if table.named else TimeRange(low, book.t_max)
             deleted += delete_of_table(there, table, Read(time_range, whose))

@@ -44,7 +44,9 @@ CONNECTING, COPYING, FOLLOWING, AWAY, PAUSED = (
 does not answer; nothing is copied because a client asked for that."""
 
 Open = Callable[[], RosCassandra]
+"""Function that connects to a store."""
 Make = Callable[[RosCassandra, RosCassandra], Replicator]
+"""Function that makes the replicator of a source and a target."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +54,16 @@ class FollowerStatus:
     """State of a follower at one time."""
 
     state: str
+    """CONNECTING, COPYING, FOLLOWING, AWAY or PAUSED."""
     place: str
     """Address and keyspace of the target; '' = not connected yet."""
     reason: str = ""
     """Why a store does not answer; '' = both do."""
     bytes_per_sec: float = 0.0
-    """Bytes sent in a second, over the last passes."""
+    """Bytes sent in a second: while there is more to copy a mean in which the last pass counts with
+    a share of 0.3, else those of the last pass."""
     topics: Sequence[TopicStatus] = field(default_factory=tuple)
-    """What the books say of each topic."""
+    """What the books say of each topic, for this target."""
     unused: Sequence[str] = field(default_factory=tuple)
     """Patterns of rules that matched no topic."""
     quota: QuotaReport | None = None
@@ -84,7 +88,9 @@ class FollowerStatus:
 
 
 class Follower:
-    """Copies on a thread of its own until it is closed. A context manager.
+    """Copies on a thread of its own while its context is entered.
+
+    Only this thread uses the stores. It replaces ``status`` as a whole, so any thread may read it.
 
     Args:
         open_source, open_target: Connect to the stores; called again after a connection failed.
@@ -106,11 +112,14 @@ class Follower:
         self._open_source, self._open_target, self._make = open_source, open_target, make
         self._period_sec = period_sec
         self._stores: list[RosCassandra] = []
+        """Source and target, as long as they are connected."""
         self._replicator: Replicator | None = None
         self._status = FollowerStatus(CONNECTING, "")
         self._paused, self._ending = threading.Event(), threading.Event()
         self._wake = threading.Event()
+        """Ends the pause between two passes."""
         self._told: set[str] = set()
+        """Warnings that were logged, each once."""
         self.problem = ""
         """Error that ended the copying, because a repetition cannot help; '' = there was none."""
         self._thread = threading.Thread(target=self._run, name="cassandra_ros-follow", daemon=True)
@@ -130,7 +139,7 @@ class Follower:
 
     @property
     def status(self) -> FollowerStatus:
-        """State after the last pass."""
+        """State after the last pass, or after the last failure."""
         return self._status
 
     @property
@@ -139,7 +148,7 @@ class Follower:
         return bool(self.problem)
 
     def pause(self) -> None:
-        """Copy nothing until ``resume``; what was begun is completed."""
+        """Copy nothing until ``resume``; what was begun is completed. It does not wait for that."""
         self._paused.set()
         self._pause_replicator(True)
         self._wake.set()
@@ -151,6 +160,7 @@ class Follower:
         self._wake.set()
 
     def _pause_replicator(self, paused: bool) -> None:
+        """Let the pass that runs end soon, or not. Called by any thread."""
         replicator = self._replicator
         if replicator is not None:
             (replicator.paused.set if paused else replicator.paused.clear)()
@@ -163,6 +173,7 @@ class Follower:
             raise
 
     def _follow(self) -> None:
+        """Copy pass after pass, until the end or an error that a repetition cannot help."""
         failures = 0
         while not self._ending.is_set():
             begun = time.monotonic()
@@ -182,11 +193,16 @@ class Follower:
             self._rest(pause)
 
     def _rest(self, seconds: float) -> None:
+        """Wait, at most until another thread sets _wake."""
         self._wake.wait(max(0.0, seconds))
         self._wake.clear()
 
     def _pass(self, begun: float) -> bool:
-        """Copy for some seconds; return whether there is more to copy."""
+        """Copy for some seconds; return whether to go on at once.
+
+        Args:
+            begun: Monotonic time at which the pass began, s.
+        """
         replicator = self._connect()
         if self._paused.is_set():
             self._note(PAUSED, replicator, None, 0.0)
@@ -202,51 +218,66 @@ class Follower:
     def _note(
         self, state: str, replicator: Replicator, report: CopyReport | None, rate: float
     ) -> None:
-        topics = copy_status(self._stores[0].catalog)
-        mine = [topic for topic in topics if topic.target == replicator.place]
+        """Keep the source under its maximum size, set the status, and log new warnings.
+
+        Args:
+            report: What was copied; None = nothing, in a pause.
+            rate: Bytes that were sent in a second of this pass.
+        """
+        statuses = copy_status(self._stores[0].catalog)
+        topics = [topic for topic in statuses if topic.target == replicator.place]
         unused = self._status.unused if report is None else report.unused
         mean = 0.7 * self._status.bytes_per_sec + 0.3 * rate if state == COPYING else rate
         quota = self._keep_under()
-        self._status = FollowerStatus(state, replicator.place, "", mean, mine, unused, quota)
+        self._status = FollowerStatus(state, replicator.place, "", mean, topics, unused, quota)
         for text in [
             *(f"no topic matches {pattern!r} yet" for pattern in unused),
-            *(topic.refused for topic in mine if topic.refused),
+            *(topic.refused for topic in topics if topic.refused),
         ]:
             if text not in self._told:
                 self._told.add(text)
                 _log.warning("%s", text)
 
     def _keep_under(self) -> QuotaReport | None:
+        """Keep the source under its maximum size; None = it has none, or is not connected."""
         if self._quota is None or not self._stores:
             return None
         self._quota.keep(self._stores[0].catalog)
         return self._quota.report
 
     def _connect(self) -> Replicator:
+        """Return the replicator; connect to both stores first if there is none."""
         if self._replicator is None:
-            self._close()
-            for make in (self._open_source, self._open_target):
-                self._stores.append(make())
+            self._close()  # an earlier attempt may have connected only the source
+            for open_store in (self._open_source, self._open_target):
+                self._stores.append(open_store())
             self._replicator = self._make(*self._stores)
             self._status = replace(self._status, place=self._replicator.place)
             _log.info("copying to %s", self._replicator.place)
         return self._replicator
 
     def _away(self, exc: CassandraRosError, failures: int) -> float:
-        """Note that a store does not answer; return the pause until the next attempt, s."""
+        """Note that a store does not answer; return the pause until the next attempt, s.
+
+        Args:
+            failures: Number of failures directly before this one.
+        """
         last = self._status
         if last.state != AWAY:
             _log.warning("copying goes on when both stores answer: %s", exc)
         quota = last.quota
         with suppress(CassandraRosError):  # the source may be the one that does not answer
             quota = self._keep_under()
-        rest = last.topics, last.unused, quota
-        self._status = FollowerStatus(AWAY, last.place, str(exc), 0.0, *rest)
+        self._status = FollowerStatus(
+            AWAY, last.place, str(exc), 0.0, last.topics, last.unused, quota
+        )
+        # Connections recover from a silent store by themselves; after other errors make new ones.
         if not isinstance(exc, StoreUnavailable):
             self._close()
         return AWAY_SEC[min(failures, len(AWAY_SEC) - 1)]
 
     def _close(self) -> None:
+        """Close the stores; a new replicator is made when they are connected again."""
         self._replicator = None
         while self._stores:
             with suppress(CassandraRosError):

@@ -8,7 +8,7 @@ written into the target is only what was written here since the last time.
 
 from __future__ import annotations
 
-from typing import Callable, Iterable, NamedTuple
+from typing import Callable, Iterable, NamedTuple, Sequence
 from uuid import UUID
 
 from cassandra_ros.keys import writer_of
@@ -38,7 +38,11 @@ class NamedRow(NamedTuple):
 
 
 def named_rows(table: RowTable, selection: CopySelection) -> list[NamedRow]:
-    """Return the selected messages of a table whose rows have names (a scan of keys)."""
+    """Return the selected messages of a table whose rows have names (a scan of keys).
+
+    Args:
+        selection: Its ``deletions`` does not matter.
+    """
 
     def read(rows: Iterable[RawRow]) -> list[NamedRow]:
         return [_named_row(values) for values in rows]
@@ -55,8 +59,9 @@ def named_rows(table: RowTable, selection: CopySelection) -> list[NamedRow]:
 
 
 def _named_row(values: RawRow) -> NamedRow:
+    """Return a row of select_names with its time of writing."""
     node, name, t, seq, size, _, _, *received, written = values
-    t, seq = received or (t, seq)
+    t, seq = received or (t, seq)  # where the key holds others, these are in columns of their own
     texts = (node or b"").decode(), (name or b"").decode()
     numbers = decode_long(t), writer_of(decode_long(seq)), decode_long(size), decode_long(written)
     return NamedRow(*texts, *numbers)
@@ -84,8 +89,15 @@ class NamedCopy:
         self._sent = sent
 
     def run(self, *, again: bool = False) -> CopyCount:
-        """Copy what was written since the last time; again: copy everything."""
+        """Copy what was written since the last time, and note that in the books.
+
+        The books are written only if all messages are selected and none is damaged.
+
+        Args:
+            again: Copy everything, and delete nothing there.
+        """
         pair, count = self._pair, CopyCount()
+        # Before the rows are read: what is written later is copied the next time.
         seen = pair.here.cassandra.server_time_us()
         rows = named_rows(pair.source, self._selection)
         books = {} if again else self._books_by_writer()
@@ -106,7 +118,10 @@ class NamedCopy:
         return count
 
     def _books_by_writer(self) -> dict[int, CopiedBucket]:
-        """Return what the books say, by writer; of several nodes the one that was seen first."""
+        """Return what the books say, by writer; of several nodes the entry that was seen first.
+
+        Entries of other tables there do not count: these were removed or converted.
+        """
         slots = self._books.slots(self._id, self._pair.source.name)
         book_of: dict[int, CopiedBucket] = {}
         for book in self._books.buckets(self._id, self._pair.source.name, slots):
@@ -116,8 +131,9 @@ class NamedCopy:
                     book_of[book.writer] = book
         return book_of
 
-    def _copy_as_stored(self, rows: Iterable[NamedRow], count: CopyCount) -> None:
-        pair, late = self._pair, list(rows)
+    def _copy_as_stored(self, late: Sequence[NamedRow], count: CopyCount) -> None:
+        """Copy rows as they are stored; set the numbers in ``count``."""
+        pair = self._pair
         if pair.columns is None or not late:
             return
         buckets = TargetBuckets(pair, {}, self._sent)
@@ -125,23 +141,25 @@ class NamedCopy:
         copy = VerbatimCopy(
             pair.source, pair.target, pair.columns, there.cassandra, there.schema, buckets
         )
-        by_name: dict[tuple[str, str], set[int]] = {}
-        first: dict[tuple[str, str], int] = {}
+        writers_of: dict[tuple[str, str], set[int]] = {}
+        first_us: dict[tuple[str, str], int] = {}
         for row in late:
             key = (row.node, row.name)
-            by_name.setdefault(key, set()).add(row.writer)
-            first[key] = min(first.get(key, row.written_us), row.written_us)
-        for (node, name), writers in by_name.items():
-            copy.copy(Part(node, name, frozenset(writers), since_us=first[node, name] - 1))
+            writers_of.setdefault(key, set()).add(row.writer)
+            first_us[key] = min(first_us.get(key, row.written_us), row.written_us)
+        for (node, name), writers in writers_of.items():
+            # Versions of this name that were written before are there.
+            copy.copy(Part(node, name, frozenset(writers), since_us=first_us[node, name] - 1))
         count.messages, count.bytes = copy.counts.messages, copy.counts.bytes
         count.damaged = copy.counts.damaged
 
     def _note(self, rows: Iterable[NamedRow], seen: int) -> None:
+        """Write in the books that all rows are there which were written before ``seen``, us."""
         table: TopicTable = self._pair.source
-        mine: dict[tuple[str, int], list[NamedRow]] = {}
+        groups: dict[tuple[str, int], list[NamedRow]] = {}
         for row in rows:
-            mine.setdefault((row.node, row.writer), []).append(row)
-        for (node, writer), group in mine.items():
+            groups.setdefault((row.node, row.writer), []).append(row)
+        for (node, writer), group in groups.items():
             entry = CopiedBucket(
                 node=node,
                 bucket=0,
@@ -160,4 +178,5 @@ class NamedCopy:
 
 
 def _since(book: CopiedBucket | None) -> int:
+    """Return the server time up to which the rows of a writer are there by the books, us."""
     return 0 if book is None else book.seen - SEEN_MARGIN_US

@@ -36,11 +36,13 @@ class QuotaReport:
     """What was deleted, or would be, to keep a store under a size."""
 
     max_bytes: int
+    """Maximum size, serialised bytes."""
     bytes: int = 0
     """Serialised bytes of all messages with a time key afterwards."""
     uncopied_bytes: int = 0
     """Bytes of these messages that no other store has acknowledged."""
     topics: dict[str, Retained] = field(default_factory=dict)
+    """Numbers of messages by topic, of topics with a time key."""
 
     @property
     def share(self) -> float:
@@ -63,7 +65,7 @@ class Quota:
     def __init__(self, max_bytes: int, *, uncopied: bool = False) -> None:
         self._max_bytes, self._uncopied = max_bytes, uncopied
         self.report: QuotaReport | None = None
-        """State after the last ``keep``; None = there was none."""
+        """Report of the last ``keep``; None = there was none yet."""
 
     def keep(self, catalog: Catalog) -> None:
         """Delete messages until the store is small enough; warn when it becomes nearly full."""
@@ -75,12 +77,14 @@ class Quota:
 
 
 class _Entry(NamedTuple):
+    """A bucket of one writer, which is deleted as a whole, and what the books say of it."""
+
     table: TopicTable
     row: BucketRow
     books: list[tuple[UUID, CopiedBucket]]
-    """Books that confirm all its messages."""
+    """Targets and their books that confirm all its messages."""
     others: list[tuple[UUID, CopiedBucket]]
-    """Books of the other targets of the table, which have some of its messages or none."""
+    """The other targets of the table and their books, which have some of its messages or none."""
     uncopied_bytes: int
     """Approximate bytes of the messages that no other store has."""
 
@@ -93,8 +97,11 @@ def keep_under(
     Args:
         uncopied: Also delete messages that no other store has, if there is no other way.
         dry_run: Only count the messages.
+
+    Returns:
+        What was deleted. The store may still be larger: buckets that a client writes stay.
     """
-    catalog.adder.close()
+    catalog.adder.close()  # the buckets that this program writes are settled then
     books = CopyBooks(catalog.keyspace.side_tables)
     report, entries = QuotaReport(max_bytes), _entries(catalog, books)
     for table, row, *_ in entries:
@@ -102,6 +109,7 @@ def keep_under(
         report.topics.setdefault(topic, Retained(topic)).messages += row.rows
     report.bytes = sum(entry.row.bytes for entry in entries)
     report.uncopied_bytes = sum(entry.uncopied_bytes for entry in entries)
+    # What another store has goes first, and of that the oldest.
     entries.sort(key=lambda entry: (not entry.books, entry.row.t_max))
     for entry in entries:
         if report.bytes <= max_bytes:
@@ -117,10 +125,13 @@ def keep_under(
 
 
 def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
+    """Return the buckets of all topics with a time key that have messages."""
     directory = catalog.keyspace.directory
     targets: dict[str, set[UUID]] = {}
-    for entry in (table_entry for table_entry in books.tables() if not table_entry.gone):
-        targets.setdefault(entry.table, set()).add(entry.target)
+    """Table → the targets that have it in their books."""
+    for entry in books.tables():
+        if not entry.gone:
+            targets.setdefault(entry.table, set()).add(entry.target)
     entries = []
     for table in catalog.tables(None):
         if table.named:
@@ -137,11 +148,12 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
                 books_of.setdefault(key, []).append((target, book))
         for row in rows:
             place = (row.node, row.bucket, row.writer)
-            mine = dict.fromkeys(targets.get(table.name, ()), CopiedBucket(*place))
-            mine.update(books_of.get(place, []))
+            # A target whose books do not list the bucket has nothing of it.
+            book_of = dict.fromkeys(targets.get(table.name, ()), CopiedBucket(*place))
+            book_of.update(books_of.get(place, []))
             confirming: list[tuple[UUID, CopiedBucket]] = []
             others: list[tuple[UUID, CopiedBucket]] = []
-            for target, book in mine.items():
+            for target, book in book_of.items():
                 confirms = book.confirms(row, [book.there])
                 (confirming if confirms else others).append((target, book))
             messages = 0 if confirming else uncopied_of(table, row, [b for _, b in others]).messages
@@ -153,7 +165,7 @@ def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
     """Delete the messages of an entry.
 
     Returns:
-        False: Messages were added since the entry was listed, and nothing was deleted.
+        False: The bucket has changed since the entry was listed, and nothing was deleted.
     """
     table, row, confirming, others, _ = entry
     rows_now = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
@@ -163,11 +175,12 @@ def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
     if confirming and not any(book.confirms(now, [book.there]) for _, book in confirming):
         return False
     for target, book in (*confirming, *others):
-        # Before the deletion, which must not be repeated there, also of a part or what a rule took.
+        # Before the deletion, so that no copy repeats it there, also where only some messages are.
         books.release(target, table.name, book)
     low = row.bucket * table.bucket_ns
     time_range = TimeRange(low, low + table.bucket_ns - 1)
     whose = Whose((row.node,), frozenset([row.writer]))
+    # Before the deletion, too: the rows are looked at.
     lost = None if confirming else uncopied_of(table, row, [book for _, book in others])
     count = delete_time_range(catalog.keyspace, [table], Read(time_range, whose))
     if lost is not None and min(count, lost.messages):

@@ -21,7 +21,9 @@ from cassandra_ros.store.tables.registry import Run
 MAX_CONFIG_BYTES = 1 << 20
 """Maximum length of a file of rules, characters."""
 _UNITS = {"": 1, "k": 1 << 10, "M": 1 << 20, "G": 1 << 30}
+"""Unit of a bandwidth -> bytes a second."""
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
+"""Unit of a length of time -> seconds."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,15 @@ class CopyRule:
 
     @property
     def thins(self) -> bool:
-        """Whether some messages of a run are left out."""
+        """Whether some messages of the selected runs are left out, so that each is looked at."""
         return bool(self.where or self.every_ns or self.event)
 
     @property
     def thinning(self) -> str:
-        """What the books call the way in which messages are left out; '' = none are."""
+        """What the books call the way in which messages are left out; '' = none are.
+
+        The text is in the books: with another one the messages count as not copied.
+        """
         if not self.thins:
             return ""
         text = f"every {self.every_ns} ns, where {self.where}"
@@ -95,7 +100,7 @@ class CopyRules:
         return None if rule is None or rule.skip else rule
 
     def unused(self, topics: Sequence[str]) -> list[str]:
-        """Return the patterns that are the first match of no topic."""
+        """Return the patterns that are the first match of none of the topics."""
         used = set()
         for topic in topics:
             matching = (n for n, r in enumerate(self.rules) if re.fullmatch(r.pattern, topic))
@@ -126,7 +131,11 @@ def read_rules(text: str, source: str = "rules") -> CopyRules:
 
 
 def read_rules_file(name: str | None) -> CopyRules | None:
-    """Read a file of rules; None or an empty name, which a launch file may pass = no rules."""
+    """Read a file of rules; None or an empty name, which a launch file may pass = no rules.
+
+    Raises:
+        InvalidOption: The file cannot be read, or as in read_rules.
+    """
     if not name:
         return None
     try:
@@ -136,6 +145,7 @@ def read_rules_file(name: str | None) -> CopyRules | None:
 
 
 def _rule(number: int, entry: object) -> CopyRule:
+    """Return the rule in an entry of the YAML text; raises InvalidOption with its number."""
     if not isinstance(entry, dict) or "pattern" not in entry:
         raise InvalidOption(
             f"entry {number} of topics is not a mapping with a pattern: {entry!r:.80}"
@@ -196,6 +206,7 @@ def _read_where(value: object) -> str:
 
 
 def _read_length(value: object) -> int:
+    """Read a length of time, ns."""
     match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]*)?|\.[0-9]+)([smh])", str(value))
     if match is None:
         raise InvalidOption(f"{str(value)!r:.80} is not a length of time, like 1s, 0.5s or 5m")
@@ -203,6 +214,7 @@ def _read_length(value: object) -> int:
 
 
 def _read_every(value: object) -> int:
+    """Read a period above 0, ns."""
     length = _read_length(value)
     if not length:
         raise InvalidOption(f"every {value} is not a period: give a longer one, like 1s")

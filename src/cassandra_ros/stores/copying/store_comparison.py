@@ -29,6 +29,7 @@ class Digest:
 
     messages: int
     hash: str
+    """Hexadecimal; '' = nothing was read."""
 
 
 _NO_MESSAGES = Digest(0, "")
@@ -41,13 +42,14 @@ class BucketComparison:
     topic: str
     node: str
     first_ns: int
-    """Begin of the bucket, ns."""
+    """Begin of the bucket, ns; 0 for messages with names."""
     last_ns: int
-    """End of the bucket, ns, included."""
+    """End of the bucket, ns, included; LAST_NS for messages with names."""
     here: Digest = _NO_MESSAGES
     there: Digest = _NO_MESSAGES
     """Messages of the same writers there."""
     writers: frozenset[int] = frozenset()
+    """Writers whose messages were compared; empty = all, of messages with names."""
 
 
 @dataclass
@@ -90,6 +92,12 @@ def compare_stores(
     """Compare the messages of tables here with those of the same topics there.
 
     Messages there of writers that are not here, other robots' for example, do not matter.
+
+    Args:
+        tables: The tables here.
+        whose: Robots and writers whose messages are compared.
+        place: Address and keyspace of the other store, for the result.
+        progress: Called with the number of buckets that were compared, and of all.
     """
     result = StoreComparison(place)
     pieces = [(table, *piece) for table in tables for piece in _pieces(here, table, whose)]
@@ -108,7 +116,10 @@ def compare_stores(
 def _pieces(
     here: Keyspace, table: TopicTable, whose: Whose
 ) -> Iterator[tuple[str, int, frozenset[int]]]:
-    """Yield node, bucket and writers of the messages of a table."""
+    """Yield node, bucket and writers of the messages of a table.
+
+    Messages with names are one bucket of each node; no writers stand for all of them.
+    """
     if table.named:
         for node in here.nodes([table]):
             if whose.nodes is None or node in whose.nodes:
@@ -129,20 +140,26 @@ def _compare(
     bucket: int,
     writers: frozenset[int],
 ) -> BucketComparison:
+    """Compare the messages of one of _pieces.
+
+    Args:
+        pair: The table and its counterpart; None = there is none, so all messages are missing.
+    """
     length = table.bucket_ns
     low, high = bucket * length, (bucket + 1) * length - 1
     time_range = TimeRange() if table.named else TimeRange(low, high)
     read = Read(time_range, Whose((node,), writers or None))
     place = BucketComparison(table.metadata.topic, node, *time_range, writers=writers)
     if pair is not None and pair.columns is not None and table.packed:
-        mine = _digest_of_headers(table, node, bucket, read)
-        theirs = _digest_of_headers(pair.target, node, pair.target.bucket_of(low), read)
-        if mine == theirs:
-            return replace(place, here=mine, there=theirs)
-    # Also if the blocks begin at other messages there.
-    mine = _digest(here.rows.read([table], read))
-    theirs = _digest(() if pair is None else pair.there.rows.read([pair.target], read))
-    return replace(place, here=mine, there=theirs)
+        # shared_columns has checked that the bucket lies in one bucket there.
+        digest_here = _digest_of_headers(table, node, bucket, read)
+        digest_there = _digest_of_headers(pair.target, node, pair.target.bucket_of(low), read)
+        if digest_here == digest_there:
+            return replace(place, here=digest_here, there=digest_there)
+    # The same messages may be in other blocks there.
+    digest_here = _digest(here.rows.read([table], read))
+    digest_there = _digest(() if pair is None else pair.there.rows.read([pair.target], read))
+    return replace(place, here=digest_here, there=digest_there)
 
 
 def _digest(rows: Iterable[StoredRow]) -> Digest:

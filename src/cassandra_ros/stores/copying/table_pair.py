@@ -33,6 +33,7 @@ class TablePair:
     target: TopicTable
     columns: StoredColumns | None
     _connections: set[int] = field(default_factory=set, repr=False)
+    """Numbers of the connections that were written there."""
     _mutex: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
@@ -46,7 +47,10 @@ class TablePair:
         return {self.target.name, *self.target.metadata.replaces}
 
     def connect(self, conn: int) -> None:
-        """Write a connection header with its definition there, before rows that refer to it."""
+        """Write a connection header with its definition there, before rows that refer to it.
+
+        Thread-safe: two threads may write the same header, and both return when it is there.
+        """
         with self._mutex:
             if conn in self._connections:
                 return
@@ -57,7 +61,11 @@ class TablePair:
             self._connections.add(conn)
 
     def filled(self, shadows: frozenset[str]) -> frozenset[str]:
-        """Return the index columns there that have values if those here have them."""
+        """Return the index columns there that have values if those here have them.
+
+        Args:
+            shadows: Index columns here that have values.
+        """
         if self.columns is None:
             return frozenset()
         here, there = self.source.metadata.indexes, self.target.metadata.indexes
@@ -81,27 +89,30 @@ def find_pair(
         thinned: Whether a rule leaves out some messages, so that blocks are made anew.
 
     Raises:
-        SchemaConflict: There is another topic, type, key or lifetime under this name.
+        SchemaConflict: There is another topic, type, key or lifetime under this name; the topic is
+            kept in another format there; or the table there is being converted.
         DefinitionError: The messages cannot be stored in this format.
+        UnknownFormat: There is no such format.
     """
     metadata = source.metadata
     tables = _tables_there(there, metadata)
     _check_renamed(there, metadata, name_before)
     for table in tables:
         _check_alike(metadata, table.metadata)
-    kinds = _of_kind(here, source, tables)
-    if tables and not kinds and not _has_kinds(here, metadata.topic, tables):
+    candidates = _of_kind(here, source, tables)
+    if tables and not candidates and not _has_kinds(here, metadata.topic, tables):
         ours, theirs = type_texts(metadata, tables[0].metadata)
         raise _refusal(metadata, f"type {ours}", theirs)
     # There may be a table of another format there, too: what is in one must not go to the other.
     took = there.schema.listing().heirs.get(name_before, name_before)
     took_before = [t for t in tables if t.name == took and t.kind.fits(source.kind)]
-    kinds = took_before or kinds
-    if format is not None and all(table.definition is None for table in kinds or [source]):
+    candidates = took_before or candidates
+    if format is not None and all(table.definition is None for table in candidates or [source]):
         format = FALLBACK_FORMAT
-    name = _format_there(metadata, [table.metadata for table in kinds], format)
+    name = _format_there(metadata, [table.metadata for table in candidates], format)
+    # Before a table is made there, and again with that table.
     _check_lifetime(metadata, name, alike=name == metadata.format and not thinned)
-    target = next((table for table in kinds if table.metadata.format == name), None)
+    target = next((table for table in candidates if table.metadata.format == name), None)
     if target is None:
         target = _make(here, there, source, name)
     else:
@@ -109,9 +120,9 @@ def find_pair(
     columns = shared_columns(source, target)
     _check_lifetime(target.metadata, name, alike=columns is not None and not thinned)
     lengths = [(t.bucket_ns, t.metadata.span_ns) for t in (source, target)]
-    moved = columns is None or thinned or source.metadata.cut or bool(source.metadata.replaces)
-    moved = moved or lengths[0] != lengths[1]
-    if moved and target.packed and not target.metadata.cut:
+    differ = columns is None or thinned or source.metadata.cut or bool(source.metadata.replaces)
+    differ = differ or lengths[0] != lengths[1]
+    if differ and target.packed and not target.metadata.cut:
         # An import of the same bag there must know that blocks begin at other messages.
         there.schema.change_topic(metadata.topic, lambda other: other.with_(cut=True))
     return TablePair(here, there, source, target, columns)
@@ -127,16 +138,21 @@ def find_existing(here: Keyspace, there: Keyspace, source: TopicTable) -> TableP
     tables = _tables_there(there, metadata)
     for table in tables:
         _check_alike(metadata, table.metadata)
-    kinds = _of_kind(here, source, tables)
-    if not kinds:
+    candidates = _of_kind(here, source, tables)
+    if not candidates:
         return None
-    name = _format_there(metadata, [table.metadata for table in kinds], None)
-    target = next(table for table in kinds if table.metadata.format == name)
+    name = _format_there(metadata, [table.metadata for table in candidates], None)
+    target = next(table for table in candidates if table.metadata.format == name)
     return TablePair(here, there, source, target, shared_columns(source, target))
 
 
 def _check_lifetime(metadata: TopicMetadata, format_name: str, *, alike: bool) -> None:
-    """Raise SchemaConflict if rows would get a new lifetime, because they are encoded anew."""
+    """Raise SchemaConflict if rows would get a new lifetime, because they are encoded anew.
+
+    Args:
+        format_name: Format of the rows there.
+        alike: Whether the rows go as they are stored, with what is left of their lifetime.
+    """
     if metadata.ttl and not alike:
         raise SchemaConflict(
             f"topic {metadata.topic} is not copied: its messages expire (ttl {metadata.ttl} s), "
@@ -203,7 +219,18 @@ def _has_kinds(here: Keyspace, topic: str, tables: Sequence[TopicTable]) -> bool
 def _format_there(
     metadata: TopicMetadata, tables: Sequence[TopicMetadata], format: str | None
 ) -> str:
-    """Return the format for the rows; a second table would hold messages that are there twice."""
+    """Return the format for the rows there, in which a topic is kept that is there already.
+
+    A second table of another format would hold messages that are in the first one, too.
+
+    Args:
+        tables: Metadata of the tables there that may take the rows; [] = there are none.
+        format: Format that was asked for; None = none was.
+
+    Raises:
+        SchemaConflict: The topic is kept in another format there.
+        UnknownFormat: There is no such format.
+    """
     formats = {other.format for other in tables}
     if format is not None:
         format_class(format)  # raises UnknownFormat
@@ -220,6 +247,7 @@ def _format_there(
 
 
 def _make(here: Keyspace, there: Keyspace, source: TopicTable, format_name: str) -> TopicTable:
+    """Make the table there; raises DefinitionError if the format cannot hold the messages."""
     metadata = source.metadata
     fmt = format_class(format_name)
     if fmt.PACKED:

@@ -29,7 +29,9 @@ _Key = Tuple[str, int, int]
 
 
 class TargetBuckets:
-    """Opens and closes buckets of one table of the target. For one thread.
+    """Opens and closes buckets of one table of the target; a Destination of VerbatimCopy.
+
+    For one thread.
 
     Args:
         filled: Writer id → shadow columns of the target that get values in all rows of the writer.
@@ -46,18 +48,22 @@ class TargetBuckets:
         self._filled = filled
         self.sent = sent
         self._opened: dict[_Key, BucketRow | None] = {}
-        """The entries as they were marked; None = messages with names, which have no entry."""
+        """The entries as they were marked last; None = messages with names, which have no entry."""
         self._marked: dict[_Key, float] = {}
         """Monotonic times at which they were marked, s."""
         self._new: set[_Key] = set()
-        """Marked entries of writers that had no rows in the bucket before."""
+        """Entries that were not there before: this copy sends all rows that they count."""
 
     def connect(self, conn: int) -> None:
         """Write the header of a connection, unless that was done."""
         self._pair.connect(conn)
 
     def open(self, node: str, bucket: int, writer: int) -> None:
-        """Mark a bucket as open, before its first row is written, and then now and again."""
+        """Mark a bucket as open, before its first row is written, and then every HEARTBEAT_SEC.
+
+        Raises:
+            TopicNotFound: The table takes no rows any more.
+        """
         key = (node, bucket, writer)
         now = time.monotonic()
         if now - self._marked.get(key, -math.inf) < HEARTBEAT_SEC:
@@ -66,13 +72,14 @@ class TargetBuckets:
         if not self._pair.there.schema.takes_rows(table.name):
             raise TopicNotFound(f"topic {self._pair.topic} is converted there; copy it again")
         self._marked[key] = now
+        # So that readers find the node, and its slot.
         directory.note(table, node, bucket)
         if table.named:
             self._opened[key] = None
             return
         before = self._entry(key)
         filled = self._filled.get(writer, frozenset())
-        if before is not None:
+        if before is not None:  # its other rows have no more than these
             filled &= before.filled
         elif key not in self._opened:
             self._new.add(key)
@@ -80,15 +87,18 @@ class TargetBuckets:
         self._opened[key] = self._entry(key)
 
     def _entry(self, key: _Key) -> BucketRow | None:
+        """Read an entry of the directory; None = there is none."""
         rows = self._pair.there.directory.find(self._pair.target.name, *key[:2])
         return next((row for row in rows if row.writer == key[2]), None)
 
     def close(self, final: Collection[int], totals: Mapping[_Key, BucketTotals]) -> None:
-        """Close the buckets of writers of which all rows are there.
+        """Close the opened buckets of some writers. All rows that were sent are acknowledged.
 
         Args:
-            final: Those writers.
-            totals: Counts of the rows that were copied; what is missing is counted in the target.
+            final: Writer ids of which all rows are there.
+            totals: Counts of the rows that were copied by node, bucket there and writer, used only
+                where the bucket had no other rows of the writer. What is missing, as always for
+                blocks, is counted in the target.
         """
         places: dict[_Place, list[tuple[_Key, BucketRow]]] = {}
         for key, row in self._opened.items():
@@ -109,6 +119,7 @@ class TargetBuckets:
         entries: Collection[tuple[_Key, BucketRow]],
         totals: Mapping[_Key, BucketTotals],
     ) -> None:
+        """Close the entries of one bucket, which are of different writers."""
         directory, table = self._pair.there.directory, self._pair.target
         counted: Mapping[int, BucketTotals] | None = None
         for key, row in entries:
