@@ -58,8 +58,8 @@ from cassandra_ros.topics.upkeep.table_copy import Progress
 
 PIECES_AT_ONCE = 4
 """Number of pieces of a table that are copied at the same time, a thread each."""
-_OF_ALL = (StoreUnavailable, ConnectionFailed, KeyspaceNotFound)
-"""Errors that end a copy; all others concern one topic."""
+_ENDING = (StoreUnavailable, ConnectionFailed, KeyspaceNotFound)
+"""Errors that end a copy; all others concern one topic, which is reported as refused."""
 
 
 @dataclass
@@ -72,7 +72,8 @@ class TopicCopy(CopyCount):
     refused: str = ""
     """Why the topic, or a part of it, was not copied; '' = it was."""
     left: int = 0
-    """Approximate number of messages that were not copied because the time was over."""
+    """Approximate number of messages in pieces that were not begun: the time was over, or the
+    copy is paused."""
 
 
 @dataclass
@@ -146,12 +147,14 @@ class Replicator:
         self._rules = rules or CopyRules([CopyRule()])
         self._bandwidth = Bandwidth(rate or self._rules.rate)
         self._limits: dict[CopyRule, Bandwidth] = {}
+        """Bandwidths of the rules that have a rate of their own, in addition to that of all."""
         self.paused = threading.Event()
-        """While it is set no further piece is begun."""
+        """While it is set no further piece is begun. Any thread may set it."""
         where = self._there.cassandra
         self.place = f"{','.join(where.hosts)}:{where.port}/{self._there.name}"
         self._books = CopyBooks(self._here.side_tables)
         self._target: UUID | None = None
+        """Id of the target; None = it had no tables yet when it was looked up last."""
         self._connected: set[str] = set()
         """Tables of which all connections were copied."""
         self._there.schema.tables(fresh=True)  # raises UnsupportedSchema
@@ -166,7 +169,7 @@ class Replicator:
 
     @property
     def sent_bytes(self) -> int:
-        """Number of bytes that were sent."""
+        """Number of bytes that were sent by all copies of this object."""
         return self._bandwidth.sent_bytes
 
     def __repr__(self) -> str:
@@ -187,6 +190,7 @@ class Replicator:
         Raises:
             StoreUnavailable, ConnectionFailed: One of the stores does not answer. What was copied
                 stays, and the next copy goes on there.
+            KeyspaceNotFound: One of the keyspaces was removed.
         """
         report = CopyReport(self.place)
         self._there.side_tables.make()
@@ -198,7 +202,7 @@ class Replicator:
             if entry.target == self._id:
                 entries[entry.table] = entry
             elif entry.place == self.place and not entry.gone:
-                self._books.bury(entry)
+                self._books.bury(entry)  # another keyspace is at this place now
         if self._selection.deletions and self._names is None:
             self._delete_removed(entries, report)
         report.unused = self._rules.unused(sorted({table.metadata.topic for table in tables}))
@@ -227,7 +231,7 @@ class Replicator:
         return report
 
     def _leave_out(self, table: TopicTable, entries: dict[str, CopiedTable]) -> None:
-        """Note in the books that no rule takes a table."""
+        """Note in the books that no rule takes a table: they name no table there."""
         before = entries.get(table.name)
         entry = CopiedTable(self._id, table.name, self.place, table.metadata.topic)
         if before is not None:
@@ -243,8 +247,8 @@ class Replicator:
 
         Args:
             progress: Called with the number of buckets that were compared, and of all.
-            repair: Copy the topics with differences again, whatever the books say, and compare
-                them once more. What is only there stays, unless deletions are repeated there.
+            repair: If there are differences, copy the selected topics again, whatever the books
+                say, and compare them once more. What is only there stays.
 
         Raises:
             StoreUnavailable, ConnectionFailed: One of the stores does not answer.
@@ -259,7 +263,7 @@ class Replicator:
 
     @property
     def _id(self) -> UUID:
-        """Id of the target in the books."""
+        """Id of the target in the books; raises KeyspaceNotFound."""
         if self._target is None:
             self._target = target_id(self._there.cassandra, self._there.name)
         if self._target is None:
@@ -267,6 +271,7 @@ class Replicator:
         return self._target
 
     def _tables(self) -> list[TopicTable]:
+        """Return the tables of the selected topics, after both listings were read anew."""
         self._here.schema.tables(fresh=True)
         self._there.schema.tables(fresh=True)
         return self._catalog.tables(self._names)
@@ -278,7 +283,13 @@ class Replicator:
         entries: dict[str, CopiedTable],
         report: CopyReport,
     ) -> TablePair | None:
-        """Return a table with its counterpart; None if it is refused, which is reported."""
+        """Return a table with its counterpart; None if it is refused, which is reported.
+
+        The books get its entry.
+
+        Args:
+            entries: Table → entry in the books of this target.
+        """
         topic, entry = table.metadata.topic, entries.get(table.name)
         there = entry.there if entry is not None else ""
         result = report.topics.setdefault(topic, TopicCopy(topic=topic))
@@ -294,7 +305,7 @@ class Replicator:
                 thinned=rule.thins,
             )
             copy_metadata(pair)
-        except _OF_ALL:
+        except _ENDING:
             raise
         except CassandraRosError as exc:
             self._doubt_removed(table, there)
@@ -315,6 +326,7 @@ class Replicator:
             self._books.doubt(self._id, table.name, ())
 
     def _refuse(self, table: TopicTable, there: str, result: TopicCopy, reason: str) -> None:
+        """Note in the report and in the books why a table is not copied; the first reason stays."""
         result.refused = result.refused or reason
         topic = table.metadata.topic
         entry = CopiedTable(self._id, table.name, self.place, topic, there, reason)
@@ -329,18 +341,19 @@ class Replicator:
         return replace(self._selection, whose=whose)
 
     def _work(self, pair: TablePair, rule: CopyRule, runs: Sequence[Run], again: bool) -> _Work:
-        """Return what is to be copied of a table."""
+        """Return what is to be copied of a table; note in the books what its rule leaves out."""
         source, selection = pair.source, self._selection_of(rule, runs)
         if source.named:
             rows = named_rows(source, selection)
             size = sum(row.size for row in rows)
             return _Work(pair, rule, selection, messages=len(rows), bytes=size)
         low, high = selection.time_range
-        ends = source.bucket_of(low), source.bucket_of(min(high, MAX_NS))
+        first, last = source.bucket_of(low), source.bucket_of(min(high, MAX_NS))
         whose, ttl = selection.whose, source.metadata.ttl
         # By robot: the books have the heartbeats of cr_bucket.
-        listed = self._here.directory.buckets_by_robot(source.name, *ends, whose.nodes)
+        listed = self._here.directory.buckets_by_robot(source.name, first, last, whose.nodes)
         rows_here = [row for row in listed if not row.expired(ttl)]
+        # ``entries`` are taken by the rule, ``late`` is what the target lacks of them.
         entries = [r for r in rows_here if whose.writers is None or r.writer in whose.writers]
         times = self._times_of(rule)
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows_here})
@@ -357,6 +370,7 @@ class Replicator:
         work.pieces = list(_pieces(pair, late, entries))
         work.messages, work.bytes = sum(row.rows for row in late), sum(row.bytes for row in late)
         work.writers = {row.writer for row in entries}
+        # A copy of one robot or run says nothing of the others.
         if rule.selects_runs and self._selection.whose == EVERYBODY:
             others = [row for row in rows_here if row.writer not in (whose.writers or ())]
             self._note_left_out(source, pair.target.name, others, book_of)
@@ -382,15 +396,27 @@ class Replicator:
         rows: Sequence[BucketRow],
         books: dict[tuple[str, int, int], CopiedBucket],
     ) -> None:
-        """Note in the books that a rule takes no message of some buckets."""
+        """Note in the books that a rule takes no message of some buckets: so they do not wait.
+
+        Args:
+            there: Name of the table there.
+            books: What the books say, by node, bucket and writer. A bucket that has not changed
+                since they were written is passed over.
+        """
         for row in rows:
             book = books.get((row.node, row.bucket, row.writer))
             if book is not None and book.heartbeat == row.heartbeat:
                 continue
-            beat, final, rule = row.heartbeat, False, "run"
-            place = (row.node, row.bucket, row.writer, there)
-            numbers = (row.rows, 0, 0, max(0, row.t_max))
-            entry = CopiedBucket(*place, beat, 0, final, rule, *numbers)
+            entry = CopiedBucket(
+                node=row.node,
+                bucket=row.bucket,
+                writer=row.writer,
+                there=there,
+                heartbeat=row.heartbeat,
+                rule="run",  # not '': that would say that all messages were copied
+                rows=row.rows,
+                t_max=max(0, row.t_max),
+            )
             self._books.put_bucket(self._id, source.name, entry)
 
     def _throttle_of(self, rule: CopyRule) -> Callable[[int], None]:
@@ -411,6 +437,7 @@ class Replicator:
         if not rule.thins:
             return None
 
+        # By event, then by condition, then by period.
         def taken(read: Read) -> Iterator[StoredRow]:
             parts = [read] if times is None else times.reads(read)
             return chain.from_iterable(map(passing_rows, parts))
@@ -430,17 +457,23 @@ class Replicator:
             low, period = read.time_range.low, rule.every_ns
             start = max(begin, low // period * period)
             # A period may have begun in an earlier bucket.
-            early = replace(read, time_range=TimeRange(start, low - 1))
+            earlier = replace(read, time_range=TimeRange(start, low - 1))
             if not rule.where:
-                early = replace(early, columns=lambda table: ())
-            before = taken(early) if start < low else iter(())
-            return _first_of_periods(taken(read), period, _Earlier(low // period, before))
+                earlier = replace(earlier, columns=lambda table: ())
+            rows = taken(earlier) if start < low else iter(())
+            return _first_of_periods(taken(read), period, _Earlier(low // period, rows))
 
         return thinned
 
     def _copy_table(
         self, work: _Work, report: CopyReport, tell: _Tell, again: bool, ends: float
     ) -> None:
+        """Copy a table; what is refused or damaged is reported.
+
+        Args:
+            ends: Monotonic time after which no further piece is begun, s. Messages with names are
+                copied all the same.
+        """
         pair = work.pair
         result = report.topics[pair.topic]
         try:
@@ -451,7 +484,7 @@ class Replicator:
                 named = NamedCopy(pair, self._books, self._id, work.selection, sent)
                 result.add(named.run(again=again))
                 tell.add(work.messages)
-        except _OF_ALL:
+        except _ENDING:
             raise
         except CassandraRosError as exc:
             self._refuse(pair.source, pair.target.name, result, str(exc))
@@ -462,13 +495,15 @@ class Replicator:
     def _copy_pieces(
         self, work: _Work, result: TopicCopy, tell: _Tell, again: bool, ends: float
     ) -> None:
+        """Copy the pieces of a table, some at the same time; see _copy_table."""
         sent, choose = self._throttle_of(work.rule), self._choose(work)
         copy = PieceCopy(
             work.pair, self._books, self._id, work.selection, sent, choose, work.thinning_of
         )
-        # Conversions of one table exclude each other.
+        # Conversions of one table exclude each other by a lock; they take one thread.
         threads = PIECES_AT_ONCE if work.pair.columns is not None and choose is None else 1
         pieces = list(work.pieces)
+        # Asked before each piece is begun, not before all.
         begun = takewhile(lambda _: time.monotonic() < ends and not self.paused.is_set(), pieces)
         done = 0
         with ThreadPoolExecutor(threads, "cassandra_ros-copy") as pool:
@@ -484,7 +519,10 @@ class Replicator:
         result.left += sum(row.rows for piece in pieces[done:] for row in piece.entries)
 
     def _copy_context(self, report: CopyReport, work: Sequence[_Work]) -> None:
-        """Copy runs and losses of what was copied, and the events of its robots and runs."""
+        """Copy runs and losses of what was copied, and the events of its robots and runs.
+
+        If all robots, runs and topics are selected, also those of which there are no messages.
+        """
         everything = self._names is None and self._selection.whose == EVERYBODY
         everything = everything and not any(rule.selects_runs for rule in self._rules.rules)
         writers = None if everything else {w for table_work in work for w in table_work.writers}
@@ -523,14 +561,19 @@ class _Work:
     pair: TablePair
     rule: CopyRule
     selection: CopySelection
+    """That of the replicator, with the writers that the rule takes."""
     times: EventTimes | None = None
     """Times of the events during which messages are copied; None = of all time."""
     pieces: Sequence[BucketGroup] = ()
+    """Pieces with something to copy, in order of time; () for messages with names."""
     books: dict[str, dict[tuple[int, int], CopiedBucket]] = field(default_factory=dict)
     """Node → what the books say of its buckets."""
     messages: int = 0
+    """Approximate number of messages to copy."""
     bytes: int = 0
+    """Serialised bytes of these messages."""
     writers: set[int] = field(default_factory=set)
+    """Writers with messages that the rule takes; empty for messages with names."""
     _spans: dict[tuple[str, int], list[TimeRange]] = field(default_factory=dict)
 
     def thinning_of(self, row: BucketRow) -> str:
@@ -568,7 +611,12 @@ class _Work:
 
 
 class _Tell:
-    """Calls the progress function."""
+    """Calls the progress function, if there is one.
+
+    Args:
+        progress: Called with the number of messages that are done, and of all.
+        total: Expected number of all messages; there may be more.
+    """
 
     def __init__(self, progress: Progress, total: int) -> None:
         self._progress, self._done, self._total = progress, 0, total
@@ -581,11 +629,17 @@ class _Tell:
 
 
 class _Earlier:
-    """The messages of a period that lie in buckets before; no more of them are read than needed."""
+    """The messages of a period that lie in buckets before; no more of them are read than needed.
+
+    Args:
+        period: Number of the period.
+        rows: The messages, in any order.
+    """
 
     def __init__(self, period: int, rows: Iterator[StoredRow]) -> None:
         self.period, self._rows = period, rows
         self._seen: set[int] = set()
+        """Numbers of the connections of the messages that were read."""
 
     def has(self, conn: int) -> bool:
         """Return whether one of them is of a connection."""
@@ -600,7 +654,12 @@ class _Earlier:
 def _first_of_periods(
     rows: Iterable[StoredRow], period_ns: int, earlier: _Earlier
 ) -> Iterator[StoredRow]:
-    """Yield the first message of each period, for each connection."""
+    """Yield the first message of each period, for each connection.
+
+    Args:
+        rows: Messages in order of time.
+        earlier: Messages of the first period that lie before.
+    """
     last: dict[int, int] = {}
     for row in rows:
         period = row.t // period_ns
@@ -613,14 +672,19 @@ def _first_of_periods(
 def _pieces(
     pair: TablePair, late: Iterable[BucketRow], entries: Iterable[BucketRow]
 ) -> Iterator[BucketGroup]:
-    """Yield the pieces with something to copy, in order of time."""
-    mine, theirs = pair.source.bucket_ns, pair.target.bucket_ns
+    """Yield the pieces with something to copy, in order of time.
+
+    Args:
+        late: Entries of the directory with something to copy.
+        entries: All entries that the rule takes, also these. A piece has those of its buckets.
+    """
+    length_here, length_there = pair.source.bucket_ns, pair.target.bucket_ns
     # Buckets that lie in one bucket there go together, so that it is opened and closed once.
-    ratio = theirs // mine if theirs % mine == 0 else 1
-    wanted = {(row.node, row.bucket // ratio) for row in late}
+    ratio = length_there // length_here if length_there % length_here == 0 else 1
+    late_groups = {(row.node, row.bucket // ratio) for row in late}
     groups: dict[tuple[int, str], list[BucketRow]] = {}
     for row in entries:
-        if (row.node, row.bucket // ratio) in wanted:
+        if (row.node, row.bucket // ratio) in late_groups:
             groups.setdefault((row.bucket // ratio, row.node), []).append(row)
     for (_, node), rows in sorted(groups.items()):
         yield BucketGroup(node, rows)
@@ -643,7 +707,7 @@ class Bandwidth:
         self.sent_bytes = 0
 
     def sent(self, nbytes: int) -> None:
-        """Wait until these bytes may be sent."""
+        """Wait until these bytes may be sent. They are counted at once."""
         with self._mutex:
             self.sent_bytes += nbytes
             if self._rate is None:
