@@ -55,6 +55,7 @@ from cassandra_ros.topics.stored_row import Key
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _REQUIRED = object()
+"""Default of ``default`` in getData: without a message it raises."""
 
 
 class Fleet:
@@ -421,6 +422,13 @@ def find_row(
 
 
 def _nearest(topic: FleetTopic, read: Read, nearest: str, where: Where | None) -> FleetRow | None:
+    """Return the row nearest to the start of a read, on the side that ``nearest`` says.
+
+    Of two that are equally near the earlier one counts.
+
+    Raises:
+        InvalidKey: ``nearest`` is unknown, or the keys have no order.
+    """
     if nearest not in NEAREST:
         raise InvalidKey(f"nearest={nearest!r} is not one of {', '.join(NEAREST)}")
     if read.only is not None:

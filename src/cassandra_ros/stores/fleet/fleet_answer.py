@@ -32,14 +32,14 @@ _T = TypeVar("_T")
 _S = TypeVar("_S")
 
 Missing = Dict[str, str]
-"""Name of a store → why it did not answer, and how many messages that it had listed before are left
-out; it may have more."""
+"""Name of a store → why it did not answer, in words, with the number of messages that it had listed
+before and that are left out; there may be more of these."""
 AWAY = (
     *(StoreUnavailable, ConnectionFailed, AccessDenied, UnsupportedSchema),
     *(KeyspaceNotFound, TopicNotFound),
 )
-"""Errors after which a store is missing in an answer. A topic that is not found is one only where
-it was there when the answer began."""
+"""Errors after which a store is missing in an answer. TopicNotFound among them means that the topic
+was there when the answer began: who looks for a topic catches it before."""
 
 
 class FleetAnswer:
@@ -51,10 +51,11 @@ class FleetAnswer:
         watch: Called for each row that is read, in any thread; what it raises ends the reading.
 
     Attributes:
-        missing: The stores that did not answer, or not to the end.
-        reasons: The same without the messages that were left out.
+        missing: The stores that did not answer, or not to the end; grows while rows are read.
+        reasons: Name of such a store → only why.
         lost_at: The stores that were asked and did not answer → when, time.monotonic(), s.
-        catalogs: The topics of each other store, by its name, in the order of the fleet.
+        catalogs: Name of each store that answered first → its topics, in the order of the fleet. A
+            store that goes away later stays here, and is passed over because it is missing.
 
     Raises:
         StoreUnavailable: No store answers.
@@ -72,6 +73,7 @@ class FleetAnswer:
         self.reasons: Missing = dict(self.missing)
         self.lost_at: dict[str, float] = {}
         self._left_out: dict[str, int] = {}
+        """Name of a store → number of messages that are left out."""
         self._mutex = threading.Lock()
         self._books: FleetBooks | None = None
         self.catalogs: dict[str, Catalog] = self.each(self._stores, _catalog)
@@ -92,7 +94,12 @@ class FleetAnswer:
         return self._books
 
     def each(self, values: Mapping[str, _S], work: Callable[[_S], _T]) -> dict[str, _T]:
-        """Call a function with a value of each store, at the same time.
+        """Call a function with a value of each store, at the same time, a thread each.
+
+        Args:
+            values: Name of a store → value.
+            work: The function. One of AWAY means that the store does not answer; other errors are
+                raised here.
 
         Returns:
             The results of the stores that answer, by name, in the order of ``values``.
@@ -117,6 +124,10 @@ class FleetAnswer:
         """Begin to read a stream of each store, at the same time.
 
         A stream ends where its store does not answer any more.
+
+        Args:
+            streams: Name of a store → function that begins to read; it is called later if there is
+                only one.
         """
         guarded = {name: self._until_lost(name, begin) for name, begin in streams.items()}
         if len(guarded) < 2:
@@ -125,6 +136,7 @@ class FleetAnswer:
         return {name: chain(rows, guarded[name]) for name, rows in first.items()}
 
     def _until_lost(self, name: str, begin: Callable[[], Iterator[_T]]) -> Iterator[_T]:
+        """Yield what a store gives until it does not answer, or is missing for another reason."""
         try:
             for row in begin():
                 if name in self.missing:
@@ -135,7 +147,11 @@ class FleetAnswer:
             self.lose(name, exc)
 
     def lose(self, name: str, exc: CassandraRosError) -> None:
-        """Note that a store does not answer. Raises the error if the fleet was closed."""
+        """Note that a store does not answer; the first error stays its reason.
+
+        Raises:
+            CassandraRosError: The error, if the fleet was closed: then no store is to blame.
+        """
         if self._stores[name].closed:
             raise exc
         with self._mutex:
@@ -144,7 +160,7 @@ class FleetAnswer:
             self.missing.setdefault(name, self.reasons[name])
 
     def leave_out(self, name: str) -> None:
-        """Count a message that a store had listed before it went away, and that no other has."""
+        """Count a message that a missing store had listed before, and that no other has."""
         with self._mutex:
             self._left_out[name] = self._left_out.get(name, 0) + 1
             count = self._left_out[name]
@@ -155,7 +171,8 @@ class FleetAnswer:
         """Note which stores do not answer, after an error of an unknown store.
 
         Raises:
-            CassandraRosError: The error, if all stores answer.
+            CassandraRosError: The error, if all stores answer that answered before.
+            StoreUnavailable: No store answers.
         """
         before = len(self.missing)
         self.catalogs = self.each(self.catalogs, _renew_catalog)
@@ -166,11 +183,15 @@ class FleetAnswer:
 
 
 def _catalog(store: FleetStore) -> Catalog:
+    """Return the topics of a store, connected and read anew; raises one of AWAY."""
     return _renew_catalog(store.catalog())
 
 
 def _renew_catalog(catalog: Catalog) -> Catalog:
-    """Read anew which topics a store has, so that an unknown field or topic is not a new one."""
+    """Read anew which topics a store has; return the same catalog.
+
+    So a topic or field that is not known now is not one that was stored a moment ago.
+    """
     catalog.keyspace.schema.tables(fresh=True)
     return catalog
 
@@ -181,7 +202,7 @@ def told(missing: Missing) -> str:
 
 
 class FleetRows(Iterator[_T], Generic[_T]):
-    """What a fleet answers, read when the iterator is advanced.
+    """What a fleet answers, read when the iterator is advanced. For one thread.
 
     Attributes:
         columns: Names of the columns of a statement's result, else empty.
@@ -209,7 +230,10 @@ class FleetRows(Iterator[_T], Generic[_T]):
         return bool(self.missing)
 
     def mapped(self, work: Callable[[Iterator[_T]], Iterator[_S]]) -> FleetRows[_S]:
-        """Return the results of a function of the rows, with the same ``missing``."""
+        """Return the results of a function of the rows, with the same ``missing``.
+
+        This object must not be read any more.
+        """
         return FleetRows(work(self._rows), self.answer)
 
     def listed(self, work: Callable[[_T], _S]) -> FleetList[_S]:
@@ -239,7 +263,14 @@ class FleetList(List[_T]):
 
 
 def settled(answer: FleetAnswer, make: Callable[[], _T]) -> _T:
-    """Return what a function makes; call it again without a store that went away meanwhile."""
+    """Return what a function makes; call it again without a store that went away meanwhile.
+
+    Args:
+        make: Asks the stores, not only by ``each`` and ``rows``: it may raise one of AWAY.
+
+    Raises:
+        CassandraRosError: What ``make`` raises, if all stores answer, or is none of AWAY.
+    """
     while True:
         try:
             return make()

@@ -108,11 +108,11 @@ class FleetBooks:
         ids = stores.each(stores.catalogs, _identity)
         tables = stores.each(stores.catalogs, lambda c: c.keyspace.schema.listing().visible)
         for name, entries in books.items():
-            for store in names[: names.index(name)]:
+            for store in names[: names.index(name)]:  # of several the first one
                 for entry in entries:
-                    mine = tables.get(name, {}).get(entry.table)
-                    theirs = tables.get(store, {}).get(entry.there)
-                    if entry.target == ids.get(store) and _are_alike(mine, theirs):
+                    metadata = tables.get(name, {}).get(entry.table)
+                    other = tables.get(store, {}).get(entry.there)
+                    if entry.target == ids.get(store) and _may_replace(metadata, other):
                         copy = _Copy(store, entry.target, entry.there)
                         self._copies.setdefault(name, {}).setdefault(entry.table, copy)
 
@@ -126,10 +126,17 @@ class FleetBooks:
         return Spared(self._stores, topics, self._stores.each(work_of, lambda work: work()))
 
     def _is_asked(self, copy: _Copy) -> bool:
+        """Return whether the store with a copy answers, as far as is known."""
         return copy.store not in self._stores.missing
 
     def _read(self, topics: Topics, store: str, read: Read) -> dict[tuple[str, str], _Buckets]:
-        """Return the buckets of a store by table and robot."""
+        """Return the buckets of a store by table and robot.
+
+        Tables whose rows are all to be read here are left out.
+
+        Args:
+            topics: The topics that are read in each store.
+        """
         catalog = self._stores.catalogs[store]
         buckets_of: dict[tuple[str, str], _Buckets] = {}
         for table in catalog.tables(list(topics[store])):
@@ -154,23 +161,30 @@ class FleetBooks:
     def _compare(
         self, catalog: Catalog, table: str, place: tuple[int, str], buckets: _Buckets
     ) -> None:
-        """Add the buckets of a slot and robot of a table."""
+        """Add the buckets of a slot and robot of a table.
+
+        Args:
+            place: Slot and node; the other store has the same slots, or nothing is confirmed.
+        """
         copy = buckets.copy
         rows = _entries_of(catalog, table, place)
-        sure = _confirmed_beats(catalog, copy, table, place, rows)
-        catalog_of = {copy.store: self._stores.catalogs[copy.store]} if sure else {}
+        confirmed = _confirmed_beats(catalog, copy, table, place, rows)
+        catalog_of = {copy.store: self._stores.catalogs[copy.store]} if confirmed else {}
         rows_of = self._stores.each(catalog_of, lambda c: _entries_of(c, copy.table, place))
-        theirs = [row for answer in rows_of.values() for row in answer]
-        beats = {(row.bucket, row.writer): row.heartbeat for row in theirs if row.closed}
+        rows_there = [row for answer in rows_of.values() for row in answer]
+        beats = {(row.bucket, row.writer): row.heartbeat for row in rows_there if row.closed}
         for row in rows:
             key = row.bucket, row.writer
-            same = key in sure and beats.get(key) == sure[key]
+            same = key in confirmed and beats.get(key) == confirmed[key]
             (buckets.there if same else buckets.here).add(row.bucket)
-        buckets.there -= buckets.here  # of another writer
+        # Rows of several writers may be in a bucket: it is read as a whole, or not at all.
+        buckets.there -= buckets.here
 
 
 class Spared:
-    """The buckets that need not be read for one read.
+    """The buckets that need not be read for one read; false if there are none.
+
+    If a store of ``targets`` goes away, what it should have given is to be read in the others.
 
     Args:
         stores: The stores that are asked.
@@ -205,6 +219,10 @@ class Spared:
         return partial(self._is_there, store) if store in self._buckets else None
 
     def _is_there(self, store: str, table: TopicTable, node: str, bucket: int) -> bool:
+        """Return whether a bucket of a store need not be read, since another store gives it.
+
+        Asked while rows are read: not any more if the other store is missing by then.
+        """
         buckets = self._buckets.get(store, {}).get((table.name, node))
         return (
             buckets is not None
@@ -213,7 +231,7 @@ class Spared:
         )
 
     def copies(self, row: StoredPlace) -> list[tuple[str, StoredRow]]:
-        """Return the rows of a message in the stores that were not read for it."""
+        """Return the rows of a message in the stores that were not read for it, by their names."""
         writers = frozenset([writer_of(row.seq)])
         read = Read(TimeRange(row.t, row.t), Whose((row.node,), writers))
 
@@ -256,7 +274,7 @@ class Spared:
         return merged if len(merged) <= MOST_RANGES else None
 
     def _busy(self, store: str, tables: Sequence[TopicTable], read: Read) -> Iterable[TimeRange]:
-        """Yield the time ranges of the buckets of a store that have to be read there."""
+        """Yield the time ranges of the buckets that have to be read in a store, in no order."""
         catalog, nodes = self._stores.catalogs[store], read.whose.nodes
         for table in tables:
             length = table.bucket_ns
@@ -271,11 +289,12 @@ class Spared:
 
 
 def _identity(catalog: Catalog) -> UUID | None:
+    """Return the id by which books know the keyspace."""
     return target_id(catalog.keyspace.cassandra, catalog.keyspace.name)
 
 
 def _entries(catalog: Catalog) -> list[CopiedTable]:
-    """Return the tables in the books of a store; none if the user may not read them."""
+    """Return the tables with a copy in the books of a store; [] if the user may not read them."""
     try:
         entries = CopyBooks(catalog.keyspace.side_tables).tables()
     except AccessDenied as exc:
@@ -284,11 +303,14 @@ def _entries(catalog: Catalog) -> list[CopiedTable]:
     return [entry for entry in entries if entry.there and not entry.gone]
 
 
-def _are_alike(mine: TopicMetadata | None, theirs: TopicMetadata | None) -> bool:
-    """Return whether a table may stand for another: it has the topic, and its rows stay."""
-    if mine is None or theirs is None:
+def _may_replace(metadata: TopicMetadata | None, other: TopicMetadata | None) -> bool:
+    """Return whether ``other`` may be read instead of a table: same topic, and its rows stay.
+
+    None = there is no such table any more.
+    """
+    if metadata is None or other is None:
         return False
-    return mine.topic == theirs.topic and not theirs.ttl
+    return metadata.topic == other.topic and not other.ttl
 
 
 def _entries_of(catalog: Catalog, table: str, place: tuple[int, str]) -> list[BucketRow]:
@@ -303,7 +325,13 @@ def _entries_of(catalog: Catalog, table: str, place: tuple[int, str]) -> list[Bu
 def _confirmed_beats(
     catalog: Catalog, copy: _Copy, table: str, place: tuple[int, str], rows: Sequence[BucketRow]
 ) -> dict[tuple[int, int], datetime]:
-    """Return the heartbeats that the books noted, by bucket and writer, of what they confirm."""
+    """Return the heartbeats there that the books noted, by bucket and writer.
+
+    Only those of closed buckets that the books confirm; {} if the user may not read the books.
+
+    Args:
+        rows: What the directory here says now of the slot and robot.
+    """
     books = CopyBooks(catalog.keyspace.side_tables)
     try:
         noted = books.beats(copy.target, table, *place)

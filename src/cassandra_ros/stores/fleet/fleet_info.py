@@ -34,7 +34,9 @@ class FleetTopicInfo:
     """Number of their serialised bytes."""
     first_ns: int | None = None
     last_ns: int | None = None
+    """First and last key time, ns; None = no message has one."""
     formats: list[str] = field(default_factory=list)
+    """Formats of the tables, each once."""
     stores: dict[str, int] = field(default_factory=dict)
     """Number of messages in each store that has some."""
 
@@ -47,7 +49,7 @@ class FleetTopicInfo:
         return f"<FleetTopicInfo {shown(self.topic)}{node}: {text}; {stores}>"
 
     def extend(self, first_ns: int | None, last_ns: int | None, count: int, nbytes: int) -> None:
-        """Add messages of a time range."""
+        """Add messages of a time range; None = they have no times."""
         self.count += count
         self.bytes += nbytes
         if first_ns is not None and last_ns is not None:
@@ -61,10 +63,11 @@ def describe_topic(
     """Yield the numbers of a topic, by type and robot.
 
     What one store has alone is counted by its directory. If several stores have messages of a
-    robot, the keys of these are read, except where the first store needs to be asked alone.
+    robot, the keys of these are read, except where only the first store needs to be asked.
     """
 
     def ask(whose: Whose, store: str, time_range: TimeRange = ALWAYS) -> list[TopicInfo]:
+        """Return what the directory of a store tells."""
         catalog = answer.catalogs[store]
         tables = catalog.tables([topic.names[store]])
         return describe(catalog.keyspace.directory, tables, whose, (), time_range)
@@ -87,7 +90,7 @@ def describe_topic(
             read = Read(whose=Whose.of(node).both(whose), columns=lambda table: ())
             alone, shared = topic.divided(read, partial(ask, read.whose))
             for info in chain.from_iterable(alone):
-                if info.md5sum in totals:  # else of a type that was stored meanwhile
+                if info.md5sum in totals:  # a type may have been stored meanwhile: it is left out
                     totals[info.md5sum].extend(info.first_ns, info.last_ns, info.count, info.bytes)
             for shared_range in shared:
                 for row in topic.read(replace(read, time_range=shared_range)):
@@ -97,10 +100,12 @@ def describe_topic(
 
 
 def _blank(topic: str, info: TopicInfo) -> FleetTopicInfo:
+    """Return an object without messages, for those that ``info`` describes."""
     return FleetTopicInfo(topic, info.type, info.md5sum, info.node, info.key)
 
 
 def _note(total: FleetTopicInfo, store: str, info: TopicInfo) -> None:
+    """Add what one store has, but not to the numbers of all stores together."""
     if info.count:
         total.stores[store] = total.stores.get(store, 0) + info.count
     if info.format not in total.formats:

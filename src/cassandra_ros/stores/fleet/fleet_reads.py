@@ -129,7 +129,12 @@ def topics_of(answer: FleetAnswer, names: Sequence[str] | None) -> list[FleetTop
 def conditions_of(
     answer: FleetAnswer, topics: Sequence[FleetTopic], where: Conditions
 ) -> dict[str, Where]:
-    """Return the condition of each topic that has one."""
+    """Return topic → condition, of each topic that has one, by the names of FleetTopic.
+
+    Raises:
+        TopicNotFound: No store has a topic of ``where``.
+        InvalidOption: A topic of ``where`` is not read or has two conditions, or it is no mapping.
+    """
     if where is None:
         return {}
     if not isinstance(where, Mapping):
@@ -162,10 +167,17 @@ def merged_topics(
     conditions: Mapping[str, Where],
     received: bool,
 ) -> Iterator[FleetRow]:
-    """Yield the rows of several topics; those without a condition are read together."""
+    """Yield the rows of several topics in one order; those without a condition are read together.
+
+    Args:
+        read: In ascending order. With a position after which rows are read, by keys only.
+        conditions: Topic → condition, as conditions_of returns them.
+        received: Whether the time range and the order are those of receive times.
+    """
     if read.after is not None:
         return resumed(read, lambda r: merged_topics(answer, topics, r, conditions, received))
     order = arrival_order if received else key_order
+    # Store → topics that are read together: no condition, and no names, whose newest row counts.
     plain: dict[str, list[str]] = {name: [] for name in answer.catalogs}
     streams: list[Iterator[FleetRow]] = []
     for topic in topics:

@@ -34,6 +34,11 @@ class FleetRow:
 
     Bytes that were not read yet come from the first store that answers, in the order of the fleet.
 
+    Args:
+        copies: The rows of the message in the stores that gave it, at least one.
+        answer: The stores.
+        more: Finds the copies in stores that were not read for it; None = there are none.
+
     Attributes:
         t, received, node, seq, name, size: As in StoredRow, the same in all stores.
         columns, conn, table: As in StoredRow, those of the first store.
@@ -48,7 +53,8 @@ class FleetRow:
         self, copies: Sequence[StoreRow], answer: FleetAnswer, more: More | None = None
     ) -> None:
         row = copies[0][1]
-        self._more = more
+        self._more = more  # None = it was called, or there are no other copies
+        # _lost: whether the answer has counted the message as left out.
         self._copies, self._answer, self._lost = copies, answer, False
         self.t, self.node, self.seq, self.name = row.t, row.node, row.seq, row.name
         self.received, self.size, self.conn = row.received, row.size, row.conn
@@ -63,7 +69,7 @@ class FleetRow:
 
     @property
     def stores(self) -> list[str]:
-        """Names of the stores that gave the message."""
+        """Names of the stores that gave the message, in the order of the fleet."""
         return [name for name, _ in self._copies]
 
     @property
@@ -80,13 +86,18 @@ class FleetRow:
         """Return the result of a function of a row: of the first store that answers, and is sound.
 
         If no store that has the message answers any more, it is counted as left out.
+
+        Raises:
+            CorruptMessage, MessageNotFound: No store gives a result: the first error of those that
+                answer.
+            MessageNotFound: No store that has the message answers any more.
         """
         missing = self._answer.missing
         problem: CassandraRosError | None = None
         away = ""
         # What was read of a store that is away now can still be used: last.
         copies = sorted(self._copies, key=lambda copy: copy[0] in missing)
-        for name, row in chain(copies, self._found_later()):
+        for name, row in chain(copies, self._further_copies()):
             try:
                 return work(row)
             except AWAY as exc:
@@ -102,8 +113,11 @@ class FleetRow:
             f"any more: {told(missing)}"
         )
 
-    def _found_later(self) -> Iterator[StoreRow]:
-        """Yield the copies in stores that were not read, because another store has the message."""
+    def _further_copies(self) -> Iterator[StoreRow]:
+        """Yield the copies in stores that were not read, because another store has the message.
+
+        They are looked for once, and kept.
+        """
         if self._more is not None:
             more, self._more = self._more(self), None
             self._copies = [*self._copies, *more]
@@ -131,7 +145,7 @@ class FleetRow:
 
     @property
     def arrival(self) -> tuple[int, str, int, str]:
-        """Position of the row in the order of reads by receive time."""
+        """Position of the row in the order of reads by receive time; the table is the first one."""
         return (self.received, self.node, self.seq, self.table.name)
 
     @property
@@ -171,7 +185,7 @@ class FleetRow:
         return self.table.metadata.md5sum
 
     def message_class(self) -> Any:
-        """Return the class of the message: installed, generated, or RawMessage."""
+        """Return the class of the message: installed, generated, or RawMessage. Errors as wire."""
         return self.ask(lambda row: row.message_class())
 
     def message(self) -> Any:
@@ -196,9 +210,13 @@ def arrival_order(row: StoredRow | FleetRow) -> Order:
 
 
 def resumed(read: Read, begin: Callable[[Read], Iterator[FleetRow]]) -> Iterator[FleetRow]:
-    """Yield the rows of a read in ascending order, after the position that it names.
+    """Yield the rows of a read after the position that it names, if it names one.
 
-    A position has the table of one store; time, node and seq are the same in all stores.
+    The rows must come in ascending order of keys. A position has the table of one store; time, node
+    and seq are the same in all stores.
+
+    Args:
+        begin: Begins to read; the read that it gets names no position.
     """
     after = read.after
     if after is None:
@@ -222,7 +240,8 @@ def merged_rows(
     tables of a store do so, too, if it has one message in two formats.
 
     Args:
-        streams: Name of a store → function that begins to read its rows, in this order.
+        streams: Name of a store → function that begins to read its rows, in this order. The stores
+            stand in the order of the fleet.
         order: Returns the place of a row.
         reverse: Whether they come from the last to the first.
         more: Finds copies in stores that were not read for a message.
@@ -258,8 +277,10 @@ def read_once(
         topics: Name of a store → names of the topics that are read there.
         order: Returns the place of a row; its first value is in the time range of the read.
     """
-    given: set[tuple[str, str]] = set()
+    # The place of the last message that was yielded, and topic and name of those at this place. By
+    # them no message comes twice after the read has begun again.
     last: Order | None = None
+    given: set[tuple[str, str]] = set()
     while True:
         # Few rows are read sooner than the books.
         many = read.only is None and read.wanted is None and len(streams) > 1
@@ -276,7 +297,7 @@ def read_once(
             return
         for row in rows:
             if not targets.isdisjoint(answer.missing):
-                break
+                break  # this row, too, may come after one that only the lost store was read for
             place, identity = order(row), (row.topic, row.name)
             if place != last:
                 if last is not None and (place < last) != read.reverse:

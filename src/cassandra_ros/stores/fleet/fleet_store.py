@@ -27,7 +27,7 @@ from cassandra_ros.store.connection.login import read_sections
 from cassandra_ros.topics.catalog import Catalog
 
 _SETTINGS = ("place", "cqlshrc", "credentials")
-"""What a section can set; ``place`` is the section's name if it is missing."""
+"""Settings of a section; if ``place`` is missing, the section's name is the place."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class StoreAddress:
     keyspace: str
     cqlshrc: str | None = None
     credentials: str | None = None
+    """Files with the login, as in class Cassandra; None = cqlsh's."""
 
 
 def read_places(
@@ -82,6 +83,7 @@ def read_places(
 
 
 def _refuse_same(places: Sequence[StoreAddress]) -> None:
+    """Raise InvalidOption if two stores have one host, port and keyspace."""
     seen: dict[tuple[str, int, str], str] = {}
     for place in places:
         other = seen.setdefault((place.host, place.port, place.keyspace), place.name)
@@ -90,10 +92,13 @@ def _refuse_same(places: Sequence[StoreAddress]) -> None:
 
 
 class FleetStore:
-    """A store that is connected when it is first asked, and again later if it was away.
+    """A store that is connected when it is first asked, and again later if that failed.
+
+    Safe to share between threads: they wait for one connection.
 
     Args:
         place: Where it is.
+        consistency: Name of the consistency level of its reads.
         answer_sec: Maximum time to wait for a connection, and for each answer, s.
 
     Attributes:
@@ -110,6 +115,7 @@ class FleetStore:
         self.reads_quorum = is_quorum(consistency)
         self._answer_sec = answer_sec
         self._opening: Future[RosCassandra] | None = None
+        """The connection, or the attempt to make it; None = it was not asked yet."""
         self._mutex = threading.Lock()
 
     def __repr__(self) -> str:
@@ -119,9 +125,12 @@ class FleetStore:
     def catalog(self) -> Catalog:
         """Return the topics of the store; connect first if it is not connected.
 
+        The attempt goes on after this has failed for lack of time; the next call waits for it.
+
         Raises:
             ConnectionFailed: It does not answer in time, it refuses the login, or the fleet is
                 closed.
+            CassandraRosError: As RosCassandra raises.
         """
         opening = self._begin_opening()
         try:
@@ -133,18 +142,20 @@ class FleetStore:
             ) from None
 
     def _begin_opening(self) -> Future[RosCassandra]:
+        """Return the connection or attempt that there is; begin a new one if it failed."""
         with self._mutex:
             if self.closed:
                 raise ConnectionFailed("the fleet is closed; make another Fleet")
             opening = self._opening
             if opening is None or (opening.done() and opening.exception() is not None):
                 opening = self._opening = Future()
-                # A name that is looked up, say, has no time limit: do not wait for the thread.
+                # Looking up a name, say, has no time limit: so a daemon, and no pool that waits.
                 name = "cassandra_ros-fleet"
                 threading.Thread(target=self._open, args=(opening,), name=name, daemon=True).start()
             return opening
 
     def _open(self, opening: Future[RosCassandra]) -> None:
+        """Connect; on a thread of its own."""
         place = self._place
         try:
             store = RosCassandra(
@@ -176,5 +187,6 @@ class FleetStore:
 
 
 def _close(opening: Future[RosCassandra]) -> None:
+    """Close the connection that an attempt has made, if it has."""
     if opening.exception() is None:
         opening.result().close()

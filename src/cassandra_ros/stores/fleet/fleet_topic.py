@@ -71,14 +71,16 @@ class FleetTopic:
         return self._by_finder(EVERYBODY, lambda finder: finder.of_text(text))
 
     def _by_finder(self, whose: Whose, work: Callable[[Finder], _T]) -> _T:
+        """Return what a function of a Finder gives: all stores are asked, the first one counts."""
+
         def ask(name: str) -> _T:
             keyspace, tables = self._answer.catalogs[name].keyspace, self._topics[name].tables
             return work(Finder(keyspace, self.name, self.key_format, tables, whose))
 
-        reads = self._answer.each({name: name for name in self._topics}, ask)
-        if not reads:
+        results = self._answer.each({name: name for name in self._topics}, ask)
+        if not results:
             raise self._no_store_error()
-        return next(iter(reads.values()))
+        return next(iter(results.values()))
 
     def _no_store_error(self) -> StoreUnavailable:
         missing = told(self._answer.missing)
@@ -107,7 +109,8 @@ class FleetTopic:
     def count(self, read: Read) -> int:
         """Return the number of messages of a read, each counted once.
 
-        One store counts by its directory; where several have to be read, the keys are read.
+        One store counts by its directory; where several have to be read, the keys are read. What a
+        store had that does not answer is missing.
         """
         if len(self._topics) == 1:
             return sum(self._answer.each(self._topics, lambda t: t.count(read)).values())
@@ -125,20 +128,25 @@ class FleetTopic:
     ) -> tuple[list[_T], list[TimeRange]]:
         """Call a function with the first store and each time range for which it alone is read.
 
+        So a store can count by its directory where, by the books, it has all messages.
+
         Returns:
-            The results, and the time ranges of the read for which several stores must be read.
+            The results, and the time ranges of the read for which several stores must be read. They
+            begin and end with buckets of the first store; [] and the whole range if it cannot be
+            divided.
         """
         tables = self._answer.each(self._topics, lambda topic: list(topic.tables))
         first = next(iter(self._topics))
         first_tables = tables.get(first, [])
-        named = any(table.named for every in tables.values() for table in every)
+        named = any(table.named for store_tables in tables.values() for table in store_tables)
         if len(first_tables) != 1 or named or read.only is not None:
             return [], [read.time_range]
         spared = self._answer.books.spared(self._names_by_store(), read)
         shared = spared.shared(tables, read) if spared else None
         if shared is None:
             return [], [read.time_range]
-        alone, (low, high) = [], read.time_range
+        alone: list[TimeRange] = []  # what lies between the shared time ranges
+        low, high = read.time_range
         for time_range in (*shared, TimeRange(high + 1, high)):
             if low < time_range.low:
                 alone.append(TimeRange(low, time_range.low - 1))
@@ -159,7 +167,10 @@ class FleetTopic:
         return sum(buckets.values())
 
     def _newest(self, rows: Iterator[FleetRow]) -> Iterator[FleetRow]:
-        """Yield of equal messages, which each store has once, the one that was stored last."""
+        """Yield, of the rows under one name, only the one that was stored last.
+
+        Each store has one of them, the stores perhaps others. The keys of all stores are read.
+        """
         newest: dict[tuple[str, str], tuple[int, int]] = {}
         for places in self._answer.each(self._topics, _places_of).values():
             for key, place in places:
