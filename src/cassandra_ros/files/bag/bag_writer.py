@@ -140,6 +140,7 @@ class BagWriter(FileWriter):
 
 
 def _index_record(number: int, entries: list[tuple[int, int]]) -> bytes:
+    """Return the index record of a connection in a chunk; sorts its entries (time, offset)."""
     fields = (
         (b"op", bagformat.OP_INDEX),
         (b"conn", number),

@@ -302,13 +302,13 @@ def _unpack(head: ChunkHead, data: bytes) -> bytes:
     raise KeyError(head.compression)
 
 
-def records_of(content: bytes, where: str, position: int = 0) -> Iterator[McapRecord]:
-    """Yield the records in some bytes, beginning at an offset.
+def records_of(content: bytes, where: str) -> Iterator[McapRecord]:
+    """Yield the records in some bytes.
 
     Raises:
         BagError: A record runs over the end.
     """
-    end = len(content)
+    position, end = 0, len(content)
     while position < end:
         record = record_at(content, where, position)
         position = record.stop

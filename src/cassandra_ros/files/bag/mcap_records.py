@@ -185,6 +185,7 @@ def _two_parts(raw: bytes) -> int:
 
 
 def _pack(record: McapRecord) -> bytes:
+    """Return the bytes of a record by the library; raises BagError if a text is not UTF-8."""
     builder = RecordBuilder()
     try:
         record.write(builder)

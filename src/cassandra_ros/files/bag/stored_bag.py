@@ -910,6 +910,7 @@ def bag_error(text: str) -> BagError:
 
 @lru_cache(maxsize=None)
 def _rosbag_error() -> type[BagError]:
+    """Return the class of our errors that rosbag's users catch; made only where rosbag is there."""
     from rosbag.bag import ROSBagException
 
     class StoredBagError(BagError, ROSBagException):

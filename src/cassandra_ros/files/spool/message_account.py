@@ -10,13 +10,12 @@ file that was deleted because its messages are stored is not missing: the folder
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Iterator
 
 from cassandra_ros.files.spool.segment_reader import Missing, SegmentPart, SegmentReader
 from cassandra_ros.files.spool.spool_folder import RunFolder
-from cassandra_ros.files.spool.spool_label import TopicTotal, Totals
+from cassandra_ros.files.spool.spool_label import TopicTotal, Totals, copy_totals
 
 
 class MessageAccount:
@@ -74,7 +73,7 @@ class MessageAccount:
 
         Those that are known to be missing count, too.
         """
-        return _copy(self._count.totals or {})
+        return copy_totals(self._count.totals or {})
 
 
 def read_run(folder: RunFolder) -> Iterator[SegmentPart]:
@@ -99,7 +98,7 @@ class _Count:
     """
 
     def __init__(self, totals: Totals | None) -> None:
-        self.totals = None if totals is None else _copy(totals)
+        self.totals = None if totals is None else copy_totals(totals)
         """Messages up to the last part that was read; set to the totals where the file has some."""
         self._path: Path | None = None
         """The file that was read last."""
@@ -119,7 +118,7 @@ class _Count:
     def note(self, damage: str) -> None:
         """Note damage, in words; of several the first counts."""
         if not self._damage:
-            self._damage, self._before = damage, _copy(self.totals or {})
+            self._damage, self._before = damage, copy_totals(self.totals or {})
 
     def parts(self, reader: SegmentReader) -> Iterator[SegmentPart]:
         """Yield the parts of a file with messages or damage, and what its totals show as missing.
@@ -155,7 +154,7 @@ class _Count:
                 for topic, total in totals.items()
             ]
             yield from self._tell([missing for missing in differences if missing.messages > 0])
-        self.totals = _copy(totals)
+        self.totals = copy_totals(totals)
         self._forget()
 
     def _difference(self, topic: str, total: TopicTotal, counted: TopicTotal) -> Missing:
@@ -203,7 +202,3 @@ class _Count:
             topics = ", ".join(f"{n.messages or 'some'} of topic {n.topic or '?'}" for n in missing)
             damage = self._damage or f"{self._path} is cut short"
             yield SegmentPart(damage=f"{damage}: messages are missing, {topics}", missing=missing)
-
-
-def _copy(totals: Totals) -> Totals:
-    return {topic: replace(total) for topic, total in totals.items()}

@@ -20,7 +20,7 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Iterable, Sequence, Tuple
 
@@ -36,6 +36,7 @@ from cassandra_ros.files.spool.spool_label import (
     TopicTotal,
     Totals,
     as_metadata,
+    copy_totals,
 )
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.store.tables.checksum import crc32
@@ -221,16 +222,18 @@ class SegmentWriter:
 
 
 def _add(totals: Totals, added: Totals) -> None:
+    """Add the messages of ``added`` to ``totals``."""
     for topic, total in added.items():
         sums = totals.setdefault(topic, TopicTotal())
         sums.add(total.count, total.first_ns, total.last_ns)
 
 
 def _sum(totals: Totals, added: Totals) -> Totals:
-    sums = {topic: replace(total) for topic, total in totals.items()}
+    sums = copy_totals(totals)
     _add(sums, added)
     return sums
 
 
 def _record_of(totals: Totals) -> bytes:
+    """Return the metadata record of totals."""
     return mcap_records.metadata(TOTALS, as_metadata(RunTotals.of(totals)))

@@ -113,6 +113,7 @@ class RunFolder:
         self._write_notes()
 
     def _write_notes(self) -> None:
+        """Append the waiting notes to the file; they go on waiting if the disk is full."""
         with suppress(OSError), open(self.path / _SETTLED, "a", opener=open_private) as file:
             file.write("".join(self._unnoted))
             file.flush()

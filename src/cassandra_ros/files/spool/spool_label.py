@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Dict, Mapping, Sequence, TypeVar
 
 from cassandra_ros.errors import SpoolError
@@ -78,6 +78,11 @@ class TopicTotal:
 
 Totals = Dict[str, TopicTotal]
 """Topic → its messages in the files of a run, from the first file to some place in one of them."""
+
+
+def copy_totals(totals: Totals) -> Totals:
+    """Return a copy of totals, with objects of its own: the original may be counted on."""
+    return {topic: replace(total) for topic, total in totals.items()}
 
 
 @dataclass(frozen=True)

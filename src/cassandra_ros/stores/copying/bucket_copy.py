@@ -99,8 +99,8 @@ class PieceCopy:
         target: UUID,
         selection: CopySelection,
         sent: Callable[[int], None],
-        choose: Choose | None = None,
-        rule: Callable[[BucketRow], str] = lambda row: "",
+        choose: Choose | None,
+        rule: Callable[[BucketRow], str],
     ) -> None:
         self._pair = pair
         self._books, self._id = books, target

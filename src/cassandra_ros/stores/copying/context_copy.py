@@ -129,6 +129,7 @@ def copy_events(here: Keyspace, there: Keyspace, within: TimeRange, whose: Whose
 
 
 def _is_selected(event: Event, whose: Whose) -> bool:
+    """Return whether an event goes with the messages of some robots and writers."""
     robots, writers = whose.nodes, whose.writers
     return (robots is None or event.node in ("", *robots)) and (
         writers is None or event.writer in (0, *writers)

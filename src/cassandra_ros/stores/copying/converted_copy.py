@@ -112,6 +112,11 @@ class ConvertedCopy:
         return self._pair.there.rows.read([self._pair.target], bare)
 
     def _write(self, rows: Iterator[StoredRow]) -> None:
+        """Write messages under their own writer ids and counters; return when they are stored.
+
+        Raises:
+            SchemaConflict: The lock has run out, and another copy may hold it.
+        """
         for row in rows:
             now = time.monotonic()
             if now - self._renewed > RENEW_SEC:
@@ -134,6 +139,7 @@ class ConvertedCopy:
         return writer
 
     def _handle(self, writer: MessageWriter, row: StoredRow) -> Handle:
+        """Return the handle of a row's connection in the target, which keeps its number."""
         key = (writer.writer_id, row.conn)
         handle = self._handles.get(key)
         if handle is None:

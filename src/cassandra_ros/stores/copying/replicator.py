@@ -454,6 +454,7 @@ class Replicator:
         begin = work.selection.time_range.low
 
         def thinned(read: Read) -> Iterator[StoredRow]:
+            # A read is one bucket, or the part of it that the time range of the copy has.
             low, period = read.time_range.low, rule.every_ns
             start = max(begin, low // period * period)
             # A period may have begun in an earlier bucket.

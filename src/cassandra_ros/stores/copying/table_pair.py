@@ -77,9 +77,9 @@ def find_pair(
     there: Keyspace,
     source: TopicTable,
     format: str | None,
-    name_before: str = "",
+    name_before: str,
     *,
-    thinned: bool = False,
+    thinned: bool,
 ) -> TablePair:
     """Find the table there that takes the rows of a table, or make it.
 

@@ -91,6 +91,7 @@ class FleetTopic:
         return resumed(read, self._read)
 
     def _read(self, read: Read) -> Iterator[FleetRow]:
+        """Yield the messages of a read, which names no position."""
         streams = {name: topic.read for name, topic in self._topics.items()}
         rows = read_once(self._answer, streams, self._names_by_store(), read)
         return rows if self.key_format != "hash" else self._newest(rows)
@@ -159,6 +160,7 @@ class FleetTopic:
         return results, shared
 
     def _names_by_store(self) -> dict[str, list[str]]:
+        """Return the topic as fleet_books.Topics."""
         return {store: [name] for store, name in self.names.items()}
 
     def countBuckets(self) -> int:
