@@ -240,8 +240,8 @@ def verify_content(
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
-        early = start is not None and to_ns(start) <= reader.start_ns
-        if early or event is not None:
+        from_start = start is not None and to_ns(start) <= reader.start_ns
+        if from_start or event is not None:
             numbers -= _leave_out(reader, numbers, report, TimeRange())
         ranks = _Ranks((), positions=False)
         bag_topics = {reader.connections[n].topic for n in numbers}

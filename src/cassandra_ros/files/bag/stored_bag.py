@@ -186,10 +186,10 @@ class RunContents:
         Topics of which these runs have no message are among them.
         """
         stored = self._store.getAllTopics()
-        wanted = [] if names is None else check_list("topics", names, "['/tf']")
-        if not wanted or (isinstance(names, str) and not names):
+        listed = [] if names is None else check_list("topics", names, "['/tf']")
+        if not listed or (isinstance(names, str) and not names):
             return list(stored)
-        selected = {_canonical(check_topic(name)) for name in wanted}
+        selected = {_canonical(check_topic(name)) for name in listed}
         return [t for t in stored if not selected.isdisjoint((t.name, _canonical(t.name)))]
 
     def filter_connections(
@@ -571,11 +571,11 @@ class Bag:
             topics, connection_filter: As in read_messages.
         """
         contents = self._contents
-        stored = contents.held_connections(contents.topics(topics))
-        held = sorted(stored, key=lambda pair: pair[1].number)
-        numbers = [connection.number for _, connection in held]
+        held = contents.held_connections(contents.topics(topics))
+        pairs = sorted(held, key=lambda pair: pair[1].number)
+        numbers = [connection.number for _, connection in pairs]
         are_unique = len(set(numbers)) == len(numbers) and min(numbers, default=0) >= 0
-        for place, (topic, connection) in enumerate(held):
+        for place, (topic, connection) in enumerate(pairs):
             described = _describe(connection.number if are_unique else place, topic, connection)
             if connection_filter is None or connection_filter(*described[1:]):
                 yield described
@@ -788,10 +788,10 @@ def _writers_named(store: RosCassandra, name: str, runs: Sequence[Run]) -> froze
     Raises:
         BagNotFound: It is not.
     """
-    alike = describe_same_name(runs, name)
+    same_name = describe_same_name(runs, name)
     place = f"{name} is not stored in keyspace {store.keyspace}"
-    if alike and (os.path.isfile(name) or os.path.basename(name) != name):
-        raise BagNotFound(f"{place}; {alike}")
+    if same_name and (os.path.isfile(name) or os.path.basename(name) != name):
+        raise BagNotFound(f"{place}; {same_name}")
     if os.path.isfile(name):
         raise BagNotFound(f"{place}: store it first: cassandra_bag import {name}")
     try:

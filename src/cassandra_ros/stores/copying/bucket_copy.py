@@ -245,22 +245,22 @@ class PieceCopy:
             return False
         writers = frozenset(row.writer for row in rows)
         buckets = sorted({row.bucket for row in rows})
-        theirs = set(map(self._bucket_there, buckets))
+        buckets_there = set(map(self._bucket_there, buckets))
         low, high = buckets[0] * source.bucket_ns, (buckets[-1] + 1) * source.bucket_ns - 1
-        there = {
+        blocks_there = {
             (block.key, block.messages)
-            for bucket in theirs
+            for bucket in buckets_there
             for block in headers(target, piece.node, bucket, low, high, writers)
         }
-        for bucket in buckets if there else ():
+        for bucket in buckets if blocks_there else ():
             for block in headers(source, piece.node, bucket, writers=writers):
-                there.discard((block.key, block.messages))
-        if there and target.metadata.ttl:
+                blocks_there.discard((block.key, block.messages))
+        if blocks_there and target.metadata.ttl:
             raise SchemaConflict(
                 f"topic {self._pair.topic} is not copied: it was converted since it was copied "
                 "first, and its messages expire; remove it at one side"
             )
-        return bool(there)
+        return bool(blocks_there)
 
     def _bucket_there(self, bucket: int) -> int:
         """Return the bucket there in which a bucket begins."""

@@ -84,16 +84,18 @@ class ConvertedCopy:
         low = max(bucket * length, bucket_part.ends[0][0])
         high = min((bucket + 1) * length - 1, bucket_part.ends[1][0], LAST_NS)
         read = Read(TimeRange(low, high), Whose((bucket_part.node,), bucket_part.writers))
-        there = {(row.t, row.seq) for row in self._keys_there(read)}
+        keys_there = {(row.t, row.seq) for row in self._rows_there(read)}
         rows = self._count_rows(bucket, self._choose(read))
-        self._write(row for row in rows if (row.t, row.seq) not in there)
+        self._write(row for row in rows if (row.t, row.seq) not in keys_there)
 
     def copy_names(self, whose: Whose) -> None:
         """Write the messages with names that are not there yet; return when they are stored."""
-        there = {key.position._replace(table="") for key in list_names(self._pair.target, None)}
-        nodes = (self._node,)
-        rows = self._pair.here.rows.read([self._pair.source], Read(whose=whose.both(Whose(nodes))))
-        self._write(row for row in rows if row.position._replace(table="") not in there)
+        # A position has the name of its table, which is another one there.
+        keys = list_names(self._pair.target, None)
+        positions_there = {key.position._replace(table="") for key in keys}
+        read = Read(whose=whose.both(Whose((self._node,))))
+        rows = self._pair.here.rows.read([self._pair.source], read)
+        self._write(row for row in rows if row.position._replace(table="") not in positions_there)
 
     def _all_messages(self, read: Read) -> Iterator[StoredRow]:
         return self._pair.here.rows.read([self._pair.source], read)
@@ -106,7 +108,7 @@ class ConvertedCopy:
             self.taken[key] = count + 1, nbytes + row.size
             yield row
 
-    def _keys_there(self, read: Read) -> Iterator[StoredRow]:
+    def _rows_there(self, read: Read) -> Iterator[StoredRow]:
         """Yield the rows that the target has of a read, without columns."""
         bare = Read(read.time_range, read.whose, columns=lambda table: ())
         return self._pair.there.rows.read([self._pair.target], bare)

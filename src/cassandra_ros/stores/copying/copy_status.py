@@ -91,8 +91,8 @@ def _add(
         # ``done`` counts the messages that were copied or left out by a rule; the rest waits.
         done, copied, nbytes, t_max = 0, 0, 0, row.t_min
         # With fewer messages than the book tells of, some were deleted: what is there may be new.
-        alike = book is not None and book.rows <= row.rows
-        if book is not None and (row.cut or alike or book.confirms(row, [book.there])):
+        not_fewer = book is not None and book.rows <= row.rows
+        if book is not None and (row.cut or not_fewer or book.confirms(row, [book.there])):
             done, copied = min(book.rows, row.rows), min(book.n, row.rows)
             nbytes = book.bytes
             t_max = max(t_max, book.t_max)
@@ -146,8 +146,8 @@ def uncopied(table: TopicTable, row: BucketRow, books: Iterable[CopiedBucket]) -
         if book.there and (book.final or not row.closed or book.heartbeat != row.heartbeat)
     ]
     # After a deletion those that were copied may be the deleted ones.
-    there = 0 if row.cut else max((min(book.n, row.rows) for book in books), default=0)
-    most = row.rows - there
+    copied = 0 if row.cut else max((min(book.n, row.rows) for book in books), default=0)
+    most = row.rows - copied
     # A rule may have left out some of the rows that were written before the copy.
     seen = max((book.seen for book in books if not book.rule), default=0)
     if not seen:

@@ -138,8 +138,8 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
             continue
         # By robot: the books have the heartbeats of cr_bucket.
         listed = directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
-        there = [row for row in listed if not row.expired(table.metadata.ttl)]
-        rows = [row for row in recount_open_buckets(directory, table, there) if row.rows]
+        unexpired = [row for row in listed if not row.expired(table.metadata.ttl)]
+        rows = [row for row in recount_open_buckets(directory, table, unexpired) if row.rows]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
         books_of: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
         for target in targets.get(table.name, ()):

@@ -158,13 +158,13 @@ class Replicator:
         self._connected: set[str] = set()
         """Tables of which all connections were copied."""
         self._there.schema.tables(fresh=True)  # raises UnsupportedSchema
-        there = target_id(self._there.cassandra, self._there.name)
+        id_there = target_id(self._there.cassandra, self._there.name)
         if with_deletions and not self._here.cassandra.finds_all_written:
             raise InvalidOption(
                 "with_deletions needs a consistency level of a quorum in the source: with fewer "
                 "copies, messages that are only missed would be deleted in the target"
             )
-        if there is not None and there == target_id(self._here.cassandra, self._here.name):
+        if id_there is not None and id_there == target_id(self._here.cassandra, self._here.name):
             raise InvalidOption(f"{self.place} is the store itself: give another one")
 
     @property

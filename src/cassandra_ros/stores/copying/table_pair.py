@@ -252,12 +252,12 @@ def _make(here: Keyspace, there: Keyspace, source: TopicTable, format_name: str)
     fmt = format_class(format_name)
     if fmt.PACKED:
         check_packed(metadata, source.definition)
-    same = format_name == metadata.format
-    if not same and format_name != FALLBACK_FORMAT:
+    same_format = format_name == metadata.format
+    if not same_format and format_name != FALLBACK_FORMAT:
         fmt(metadata.msg_type, metadata.md5sum, source.definition).require_class()
     span_ns = metadata.span_ns
-    if fmt.PACKED and not same:
+    if fmt.PACKED and not same_format:
         connections = len(list(here.registry.headers([source.name])))
         span_ns = block_span(here, [source], connections)
-    wanted = metadata.with_(format=format_name, span_ns=span_ns)
-    return there.new_tables.make(wanted, source.definition)
+    metadata_there = metadata.with_(format=format_name, span_ns=span_ns)
+    return there.new_tables.make(metadata_there, source.definition)

@@ -216,9 +216,9 @@ class Spared:
 
     def skip(self, store: str) -> Skip | None:
         """Return which buckets of a store are left out; None = none."""
-        return partial(self._is_there, store) if store in self._buckets else None
+        return partial(self._is_spared, store) if store in self._buckets else None
 
-    def _is_there(self, store: str, table: TopicTable, node: str, bucket: int) -> bool:
+    def _is_spared(self, store: str, table: TopicTable, node: str, bucket: int) -> bool:
         """Return whether a bucket of a store need not be read, since another store gives it.
 
         Asked while rows are read: not any more if the other store is missing by then.
@@ -283,8 +283,8 @@ class Spared:
             for slot, node in slots:
                 if nodes is None or node in nodes:
                     for row in _entries_of(catalog, table.name, (slot, node)):
-                        there = self._is_there(store, table, node, row.bucket)
-                        if first <= row.bucket <= last and not there:
+                        is_spared = self._is_spared(store, table, node, row.bucket)
+                        if first <= row.bucket <= last and not is_spared:
                             yield TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
 
 
@@ -334,16 +334,16 @@ def _confirmed_beats(
     """
     books = CopyBooks(catalog.keyspace.side_tables)
     try:
-        noted = books.beats(copy.target, table, *place)
-        entries = books.buckets(copy.target, table, [place]) if noted else []
+        beats_there = books.beats(copy.target, table, *place)
+        entries = books.buckets(copy.target, table, [place]) if beats_there else []
     except AccessDenied as exc:
         _log.info("the books of copies are not used: %s", exc)
         return {}
     book_of = {(book.bucket, book.writer): book for book in entries}
     return {
-        key: noted[key]
+        key: beats_there[key]
         for row in rows
-        if (key := (row.bucket, row.writer)) in noted
+        if (key := (row.bucket, row.writer)) in beats_there
         and key in book_of
         and row.closed
         and book_of[key].confirms(row, [copy.table])

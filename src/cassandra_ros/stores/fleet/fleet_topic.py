@@ -115,13 +115,13 @@ class FleetTopic:
         """
         if len(self._topics) == 1:
             return sum(self._answer.each(self._topics, lambda t: t.count(read)).values())
-        bare = replace(read, columns=lambda table: (), chooser=None, wanted=None)
+        keys_read = replace(read, columns=lambda table: (), chooser=None, wanted=None)
 
         def count(store: str, time_range: TimeRange) -> int:
             return self._topics[store].count(replace(read, time_range=time_range))
 
         counts, shared = self.divided(read, count)
-        reads = (replace(bare, time_range=time_range) for time_range in shared)
+        reads = (replace(keys_read, time_range=time_range) for time_range in shared)
         return sum(counts) + sum(1 for time_range in reads for _ in self.read(time_range))
 
     def divided(
