@@ -84,7 +84,7 @@ class ConvertedCopy:
         low = max(bucket * length, bucket_part.ends[0][0])
         high = min((bucket + 1) * length - 1, bucket_part.ends[1][0], LAST_NS)
         read = Read(TimeRange(low, high), Whose((bucket_part.node,), bucket_part.writers))
-        keys_there = {(row.t, row.seq) for row in self._rows_there(read)}
+        keys_there = {(row.t, row.seq) for row in self._pair.rows_there(read)}
         rows = self._count_rows(bucket, self._choose(read))
         self._write(row for row in rows if (row.t, row.seq) not in keys_there)
 
@@ -107,11 +107,6 @@ class ConvertedCopy:
             count, nbytes = self.taken.get(key, (0, 0))
             self.taken[key] = count + 1, nbytes + row.size
             yield row
-
-    def _rows_there(self, read: Read) -> Iterator[StoredRow]:
-        """Yield the rows that the target has of a read, without columns."""
-        bare = Read(read.time_range, read.whose, columns=lambda table: ())
-        return self._pair.there.rows.read([self._pair.target], bare)
 
     def _write(self, rows: Iterator[StoredRow]) -> None:
         """Write messages under their own writer ids and counters; return when they are stored.

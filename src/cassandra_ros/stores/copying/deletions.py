@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Iterator
+from typing import Callable
 from uuid import UUID
 
 from cassandra_ros.read import Read, TimeRange, Whose
@@ -14,7 +14,6 @@ from cassandra_ros.store.tables.copy_books import CopiedTable, CopyBooks
 from cassandra_ros.stores.copying.table_pair import TablePair
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows
-from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.upkeep.deletion import delete_of_table
 
 
@@ -44,7 +43,7 @@ def delete_missing(
     # Asked after the keys were read: who releases a bucket says so before anything is deleted.
     if released():
         return 0
-    rows = _rows_there(pair, Read(TimeRange(low, high), whose))
+    rows = pair.rows_there(Read(TimeRange(low, high), whose))
     return delete_rows(pair.there, (row for row in rows if (row.t, row.seq) not in keys))
 
 
@@ -56,7 +55,7 @@ def delete_missing_names(pair: TablePair, writers: frozenset[int]) -> int:
     if _expire_here(pair):
         return 0
     keys = {key.position._replace(table="") for key in list_names(pair.source, None)}
-    rows = _rows_there(pair, Read(whose=Whose(None, writers)))
+    rows = pair.rows_there(Read(whose=Whose(None, writers)))
     gone = (row for row in rows if row.position._replace(table="") not in keys)
     return delete_rows(pair.there, gone)
 
@@ -64,12 +63,6 @@ def delete_missing_names(pair: TablePair, writers: frozenset[int]) -> int:
 def _expire_here(pair: TablePair) -> bool:
     """Return whether messages expire here and stay there: one that is missing may have expired."""
     return bool(pair.source.metadata.ttl) and not pair.target.metadata.ttl
-
-
-def _rows_there(pair: TablePair, read: Read) -> Iterator[StoredRow]:
-    """Yield the rows that the target has of a read, without columns."""
-    bare = Read(read.time_range, read.whose, columns=lambda table: ())
-    return pair.there.rows.read([pair.target], bare)
 
 
 def delete_removed(

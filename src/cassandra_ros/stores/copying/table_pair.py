@@ -6,15 +6,17 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field
-from typing import Sequence
+from typing import Iterator, Sequence
 
 from cassandra_ros.arguments import spellings
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.read import Read
 from cassandra_ros.store.rows.verbatim import StoredColumns, shared_columns
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed
+from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable, stored_format, type_texts
 from cassandra_ros.topics.upkeep.conversion import block_span
 
@@ -59,6 +61,11 @@ class TablePair:
             self.there.registry.put_headers([(self.target.name, conn, header)])
         with self._mutex:
             self._connections.add(conn)
+
+    def rows_there(self, read: Read) -> Iterator[StoredRow]:
+        """Yield the rows that the table there has of a read, without columns."""
+        keys_read = Read(read.time_range, read.whose, columns=lambda table: ())
+        return self.there.rows.read([self.target], keys_read)
 
     def filled(self, shadows: frozenset[str]) -> frozenset[str]:
         """Return the index columns there that have values if those here have them.
