@@ -395,8 +395,8 @@ def _readable_records(
         start_ns, end_ns: A message at another time is damage.
 
     Returns:
-        Offset of the damage in the content (its size if there is none); first and last time of the
-        messages before it, ns (2**63 and 0 if there are none); the number of these messages by
+        Offset of the damage in the content (its size = no damage); first and last time of the
+        messages before it, ns (2**63 and 0 = no message); the number of these messages by
         connection id.
     """
     counts: Counter[int] = Counter()

@@ -65,9 +65,9 @@ class TopicTotal:
 
     count: int = 0
     first_ns: int = 2**63
-    """Time of reception of the first of them, ns; 2**63 while there are none."""
+    """Time of reception of the first of them, ns; 2**63 = no message yet."""
     last_ns: int = 0
-    """Time of reception of the last of them, ns; 0 while there are none."""
+    """Time of reception of the last of them, ns; 0 = no message yet."""
 
     def add(self, count: int, first_ns: int, last_ns: int) -> None:
         """Count further messages."""

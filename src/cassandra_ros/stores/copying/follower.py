@@ -246,7 +246,7 @@ class Follower:
         return self._quota.report
 
     def _connect(self) -> Replicator:
-        """Return the replicator; connect to both stores first if there is none."""
+        """Return the replicator; connect to both stores and make it if necessary."""
         if self._replicator is None:
             self._close()  # an earlier attempt may have connected only the source
             for open_store in (self._open_source, self._open_target):

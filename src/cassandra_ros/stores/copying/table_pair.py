@@ -231,7 +231,7 @@ def _format_there(
     A second table of another format would hold messages that are in the first one, too.
 
     Args:
-        tables: Metadata of the tables there that may take the rows; [] = there are none.
+        tables: Metadata of the tables there that may take the rows, if any.
         format: Format that was asked for; None = none was.
 
     Raises:

@@ -87,7 +87,7 @@ class TargetBuckets:
         self._opened[key] = self._entry(key)
 
     def _entry(self, key: _Key) -> BucketRow | None:
-        """Read an entry of the directory; None = there is none."""
+        """Read an entry of the directory; None = it is not listed."""
         rows = self._pair.there.directory.find(self._pair.target.name, *key[:2])
         return next((row for row in rows if row.writer == key[2]), None)
 

@@ -182,7 +182,7 @@ class FleetBooks:
 
 
 class Spared:
-    """The buckets that need not be read for one read; false if there are none.
+    """The buckets that need not be read for one read; false if all are to be read.
 
     If a store of ``targets`` goes away, what it should have given is to be read in the others.
 

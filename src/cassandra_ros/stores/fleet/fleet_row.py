@@ -37,7 +37,7 @@ class FleetRow:
     Args:
         copies: The rows of the message in the stores that gave it, at least one.
         answer: The stores.
-        more: Finds the copies in stores that were not read for it; None = there are none.
+        more: Finds the copies in stores that were not read for it; None = no other store has it.
 
     Attributes:
         t, received, node, seq, name, size: As in StoredRow, the same in all stores.
