@@ -270,9 +270,9 @@ def unpack_part(name: str, data: bytes, most: int) -> bytes:
     """Unpack the beginning of a chunk that is cut short or damaged, up to the damage.
 
     Args:
-        most: Maximum size of the result, bytes.
+        most: Maximum size of the unpacked bytes. Data that are not compressed are returned whole.
     """
-    if name not in ("bz2", "lz4"):
+    if name not in ("bz2", "lz4"):  # of an unknown compression nothing can be read
         return data if name == "none" else b""
     content = BytesIO()
     with suppress(*_DAMAGE):

@@ -47,9 +47,12 @@ class ChannelText(NamedTuple):
 
 
 def to_channel(connection: Connection) -> ChannelText:
-    """Return the schema and channel of a connection, also of one with a damaged header.
+    """Return the schema and channel of a connection, by which to_connection gets the same header.
 
     The caller adds the metadata field NUMBER where the channel gets another id.
+
+    Raises:
+        CorruptMessage: The header of the connection is malformed. check_header refuses such.
     """
     header, offset, definition = cut_definition(connection.header)
     metadata = {}

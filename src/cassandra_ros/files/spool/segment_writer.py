@@ -212,7 +212,11 @@ class SegmentWriter:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """End the file, so that every reader of MCAP takes it as complete, sync and close it."""
+        """End the file, so that every reader of MCAP takes it as complete, sync and close it.
+
+        Raises:
+            OSError: The disk fails. The file is closed all the same.
+        """
         try:
             with suppress(OSError):  # without room for its end it is read just as well
                 self._write([mcap_records.end_file()])

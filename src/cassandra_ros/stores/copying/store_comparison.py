@@ -143,7 +143,7 @@ def _compare(
     """Compare the messages of one of _pieces.
 
     Args:
-        pair: The table and its counterpart; None = without one all messages are missing.
+        pair: The table and its counterpart; None = no counterpart: all are missing.
     """
     length = table.bucket_ns
     low, high = bucket * length, (bucket + 1) * length - 1
