@@ -66,7 +66,7 @@ ENTRY_BYTES = 16
 """Size of an entry of a message index, bytes: time, and offset of the message in the chunk."""
 _MAX_NAME_BYTES = 64
 """Maximum size of the name of a compression, bytes. A longer one is damage."""
-_CHUNK_SIZE_BYTES = 8
+CHUNK_SIZE_BYTES = 8
 """Size of the field with the size of the compressed records of a chunk, bytes."""
 _CRC_BYTES = 4
 _FOOTER_BYTES = 20
@@ -211,12 +211,12 @@ def read_chunk_head(
     raw = file.read(CHUNK.size)
     if len(raw) == CHUNK.size:
         start_ns, end_ns, size, crc, name_bytes = CHUNK.unpack(raw)
-        rest = file.read(min(name_bytes, _MAX_NAME_BYTES) + _CHUNK_SIZE_BYTES)
+        rest = file.read(min(name_bytes, _MAX_NAME_BYTES) + CHUNK_SIZE_BYTES)
         name, length = rest[:name_bytes], int.from_bytes(rest[name_bytes:], "little")
-        start = record.start + CHUNK.size + name_bytes + _CHUNK_SIZE_BYTES
+        start = record.start + CHUNK.size + name_bytes + CHUNK_SIZE_BYTES
         # Later versions of the format may add fields after the last one.
         fits = (start + length >= record.stop) if cut else (start + length <= record.stop)
-        is_whole = len(rest) == name_bytes + _CHUNK_SIZE_BYTES
+        is_whole = len(rest) == name_bytes + CHUNK_SIZE_BYTES
         if is_whole and fits and start_ns <= end_ns:
             compression = name.decode("ascii", "replace") or "none"
             head = ChunkHead(start_ns, end_ns, size, crc, compression)

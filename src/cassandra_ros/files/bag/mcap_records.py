@@ -20,6 +20,7 @@ from cassandra_ros.errors import BagError
 from cassandra_ros.files.bag.mcap_channel import to_channel, unchecked_connection
 from cassandra_ros.files.bag.mcap_format import (
     CHUNK,
+    CHUNK_SIZE_BYTES,
     ENTRY_BYTES,
     INDEX,
     MAGIC,
@@ -34,8 +35,6 @@ CHUNK_KIND, INDEX_KIND = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
 METADATA_KIND, END_KIND = int(Opcode.METADATA), int(Opcode.DATA_END)
 _HEAD_BYTES = MESSAGE.size - RECORD.size
 """Size of the fields of a message record before the serialised message, bytes."""
-_SIZE_BYTES = 8
-"""Size of the field of a chunk with the size of its compressed records, bytes."""
 _LENGTH_BYTES = 4
 """Size of the length of a text or of a map, bytes."""
 _END_BYTES = 4
@@ -92,8 +91,8 @@ def chunk(content: bytes, times: tuple[int, int], crc: int) -> list[bytes]:
         crc: CRC-32 of the records.
     """
     nbytes = len(content)
-    head = RECORD.pack(Opcode.CHUNK, CHUNK.size + _SIZE_BYTES + nbytes)
-    size = nbytes.to_bytes(_SIZE_BYTES, "little")
+    head = RECORD.pack(Opcode.CHUNK, CHUNK.size + CHUNK_SIZE_BYTES + nbytes)
+    size = nbytes.to_bytes(CHUNK_SIZE_BYTES, "little")
     return [head, CHUNK.pack(*times, nbytes, crc, 0), size, content]
 
 
@@ -117,7 +116,7 @@ def chunk_content(raw: bytes) -> tuple[bytes, int]:
     Args:
         raw: The chunk without kind and length, of which is_plausible holds.
     """
-    return raw[CHUNK.size + _SIZE_BYTES :], CHUNK.unpack_from(raw)[3]
+    return raw[CHUNK.size + CHUNK_SIZE_BYTES :], CHUNK.unpack_from(raw)[3]
 
 
 def read_metadata(raw: bytes, where: str) -> tuple[str, Mapping[str, str]]:
@@ -156,10 +155,10 @@ def is_plausible(kind: int, length: int, raw: bytes, after: int) -> bool:
             those up to four bytes after the name.
         after: Number of bytes of the file after the record.
     """
-    if kind == Opcode.CHUNK and length >= CHUNK.size + _SIZE_BYTES <= len(raw):
+    if kind == Opcode.CHUNK and length >= CHUNK.size + CHUNK_SIZE_BYTES <= len(raw):
         start, end, size, _, compression = CHUNK.unpack_from(raw)
-        stored = int.from_bytes(raw[CHUNK.size : CHUNK.size + _SIZE_BYTES], "little")
-        body = length - CHUNK.size - _SIZE_BYTES
+        stored = int.from_bytes(raw[CHUNK.size : CHUNK.size + CHUNK_SIZE_BYTES], "little")
+        body = length - CHUNK.size - CHUNK_SIZE_BYTES
         return bool(start <= end and not compression and size == stored == body)
     if kind == Opcode.MESSAGE_INDEX and length >= INDEX.size <= len(raw):
         nbytes = INDEX.unpack_from(raw)[1]
