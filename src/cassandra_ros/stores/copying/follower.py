@@ -90,7 +90,7 @@ class FollowerStatus:
 class Follower:
     """Copies on a thread of its own while its context is entered.
 
-    Only this thread uses the stores. It replaces ``status`` as a whole, so any thread may read it.
+    Only this thread asks the stores. It replaces ``status`` as a whole, so any thread may read it.
 
     Args:
         open_source, open_target: Connect to the stores; called again after a connection failed.

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
 from operator import itemgetter
-from typing import Any, Iterable, Iterator, Sequence, TypeVar
+from typing import Any, Iterable, Iterator, Sequence
 
 from cassandra_ros.arguments import check_limit, check_seconds, check_topics
 from cassandra_ros.errors import (
@@ -53,7 +53,6 @@ from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key
 
 _log = logging.getLogger(__name__)
-_T = TypeVar("_T")
 _REQUIRED = object()
 """Default of ``default`` in getData: without a message it raises."""
 
