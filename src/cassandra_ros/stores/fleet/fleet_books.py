@@ -269,7 +269,8 @@ class Spared:
         ):
             first, last = begin // length * length, (end // length + 1) * length - 1
             if merged and first <= merged[-1].high + 1:
-                first, last = merged[-1].low, max(merged.pop().high, last)
+                before = merged.pop()
+                first, last = before.low, max(before.high, last)
             merged.append(TimeRange(max(low, first), min(high, last)))
         return merged if len(merged) <= MOST_RANGES else None
 
