@@ -49,10 +49,10 @@ class Disk(NamedTuple):
 
 
 class Stays(Protocol):
-    """Times at which robots were on a disk."""
+    """Times at which a NEAR is true (the robot was on the disk), or an EVENT."""
 
     def holds(self, node: str, run: str, t: int) -> bool | None:
-        """Return whether the robot of a message was on the disk; None if unknown.
+        """Return whether it is true for the robot of a message at a time; None if unknown.
 
         Args:
             node: nodeID of the message.
@@ -99,7 +99,7 @@ class NamedTime(Protocol):
         """NodeID of the robot; '' = of all robots."""
 
     def order(self) -> tuple[int, str, str, str]:
-        """Return its place among all, which a copy shares."""
+        """Return the key by which events are sorted; copies of an event have the same."""
 
     @property
     def time_range(self) -> TimeRange:
@@ -110,7 +110,7 @@ class NamedTimes(Protocol):
     """Events of a keyspace: named time ranges of robots."""
 
     def called(self, name: str, like: bool, read: Read) -> Iterator[NamedTime]:
-        """Yield the events that ``times`` uses, by their places; its arguments."""
+        """Yield the events that ``times`` uses, sorted by ``order``. Its arguments are the same."""
 
     def unknown(self, name: str, like: bool) -> str:
         """Say that no event has a name, or one like it, with similar names; '' = one has."""
@@ -123,7 +123,7 @@ class NamedTimes(Protocol):
             like: Whether the name is a pattern.
             read: The messages that are checked; other times and robots may be left out.
             others: Events of other keyspaces that count, too. Of copies of an event the one counts
-                that knows its end.
+                that has an end.
 
         Raises:
             InvalidName, InvalidOption: The name is empty, or there are too many events.
@@ -208,7 +208,8 @@ class Row(Protocol):
     name: str
     """Name under which it is kept; '' if it is found by its time."""
     columns: tuple[bytes | None, ...]
-    """Encoded columns of the format: all columns, or those that were requested."""
+    """Encoded columns of the format, in its order: all of them, those that were requested, or none;
+    the number of columns tells which. None = unset."""
     size: int
     """Size of the serialised message, bytes."""
 
@@ -265,4 +266,4 @@ class Source(Protocol[RowT_co]):
         """Return the number of rows in the time range of a read, of its nodes and writers."""
 
     def countBuckets(self) -> int:
-        """Return the number of partitions: time ranges of a node in a table."""
+        """Return the number of buckets: time slices of a robot in a table."""

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
 SHORT_TEXT = 1000
 """Maximum length of a text whose tree is cached, characters."""
 MAX_STATEMENT = 1 << 20
+"""Maximum length of a statement, characters."""
 
 _WORDS = {
     "NAME": "a field",
@@ -81,9 +82,11 @@ _WORDS = {
     "DOT": "'.'",
     "$END": "the end",
 }
+"""Tokens in the words of error texts; other tokens are shown by their names."""
 _KEPT_KEYWORDS = {"ASC", "DESC", "NOT", "LIKE", "CONTAINS"}
 """Keywords that stay in the tree; the grammar's names of all other keywords begin with '_'."""
 _UNSAID = {"QUOTED", "_END", "FUNCTION", "NEAR", "EVENT", "TRUE", "FALSE"}
+"""Tokens that error texts leave out, to stay short."""
 _NEVER_CHANGED = (
     "messages are never changed: addData and the recorder store new ones, DELETE removes them"
 )
@@ -149,6 +152,7 @@ def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
 
 
 def _limit(text: str, most: Literal) -> int:
+    """Return the value of a bound LIMIT; InvalidQuery: it is not a number of rows."""
     whole = isinstance(most.value, Integral) and not isinstance(most.value, bool)
     if not whole or not 1 <= most.value <= MAX_LIMIT:
         reason = f"LIMIT takes a whole number of at least 1 and at most {MAX_LIMIT}"
@@ -157,6 +161,13 @@ def _limit(text: str, most: Literal) -> int:
 
 
 def _parse(text: str, start: str) -> Any:
+    """Return the tree of a text by a start rule of the grammar, its values not bound yet.
+
+    A SELECT gives the pair of its tree and its LIMIT (None = it has none).
+
+    Raises:
+        InvalidQuery: The text is not what the rule describes.
+    """
     from lark import UnexpectedInput  # by the first statement: most programs parse none
 
     if not isinstance(text, str):
@@ -177,7 +188,8 @@ def _parse_text(text: str, start: str) -> Any:
     return grammar().parse(text, start=start)
 
 
-_parse_cached = lru_cache(maxsize=256)(_parse_text)  # a tree is never changed
+# A tree is never changed, so all statements with one text share it.
+_parse_cached = lru_cache(maxsize=256)(_parse_text)
 
 
 def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
@@ -258,10 +270,10 @@ class Binding:
         params: Sequence[object],
         terms: Iterable[Term],
     ) -> None:
-        slots = [term for term in terms if isinstance(term, (Literal, Call))]
-        # Most statements have no parameters and stay unchanged.
-        self._fixed = all(isinstance(term, Literal) and term.bound for term in slots)
-        positions = sorted(set(_placeholders(slots)))  # BETWEEN repeats its operand in the tree
+        fillable = [term for term in terms if isinstance(term, (Literal, Call))]
+        # Most statements have no parameters and no calls, and stay unchanged.
+        self._fixed = all(isinstance(term, Literal) and term.bound for term in fillable)
+        positions = sorted(set(_placeholders(fillable)))  # BETWEEN repeats its operand in the tree
         _check_params(text, positions, params)
         if len(positions) != len(params):
             at = positions[len(params)] if len(params) < len(positions) else len(text)
@@ -269,6 +281,7 @@ class Binding:
             raise InvalidQuery(text, at, reason)
         self._text = text
         self._values = dict(zip(positions, map(plain_value, params)))
+        """Value of each placeholder, by its position."""
         self._now = TimeNs(0 if self._fixed else time.time_ns())
 
     def select(self, select: Select) -> Select:
@@ -285,7 +298,10 @@ class Binding:
         )
 
     def expression(self, item: Expression) -> Expression:
-        """Bind a condition; StatementError: an expression in it cannot be computed."""
+        """Bind a condition.
+
+        StatementError: an expression in it cannot be computed. InvalidQuery: ``IN ?`` has no list.
+        """
         if self._fixed:
             return item
         if isinstance(item, LEAVES):
@@ -313,7 +329,7 @@ class Binding:
         return OneOf(operand, self._elements(*values) if leaf.whole else values)
 
     def value(self, value: Literal) -> Literal:
-        """Bind one value."""
+        """Bind one value; StatementError: it cannot be computed."""
         if value.bound:
             return value
         at = value.position
@@ -322,11 +338,13 @@ class Binding:
         return cast(Literal, self._term(value.made))
 
     def _what(self, what: Term | Aggregate) -> Term | Aggregate:
+        """Bind what a column or an item of ORDER BY consists of."""
         if not isinstance(what, Aggregate):
             return self._term(what)
         return what if what.operand is None else replace(what, operand=self._term(what.operand))
 
     def _term(self, term: Term) -> Term:
+        """Bind a term; a call of constants only becomes its value."""
         if isinstance(term, Literal):
             return self.value(term)
         if not isinstance(term, Call):
@@ -334,17 +352,18 @@ class Binding:
         if term.function == "now":
             return Literal(self._now, term.position)
         call = replace(term, arguments=tuple(map(self._term, term.arguments)))
-        values = all(isinstance(argument, Literal) for argument in call.arguments)
-        return fold(call) if values else call
+        constant = all(isinstance(argument, Literal) for argument in call.arguments)
+        return fold(call) if constant else call
 
     def _elements(self, whole: Literal) -> tuple[Literal, ...]:
+        """Return the values of ``IN ?``, all at the position of the placeholder."""
         if not isinstance(whole.value, (list, tuple, set, frozenset)):
             raise InvalidQuery(self._text, whole.position, "IN ? takes a list as its value")
         return tuple(Literal(element, whole.position) for element in whole.value)
 
 
 def terms_of_condition(condition: Expression | None) -> Iterator[Term]:
-    """Yield the terms in the comparisons of a condition."""
+    """Yield the terms in the leaves of a condition."""
     for leaf in leaves(condition):
         yield from terms_of(leaf)
 
@@ -362,6 +381,7 @@ def terms_of_statement(statement: Select | Change) -> Iterator[Term]:
 
 
 def _placeholders(terms: Iterable[Term]) -> Iterator[int]:
+    """Yield the positions of the placeholders in terms, also of those in a Literal's ``made``."""
     for term in terms:
         for inner in inside(term):
             if isinstance(inner, Literal) and not inner.bound:
@@ -371,6 +391,7 @@ def _placeholders(terms: Iterable[Term]) -> Iterator[int]:
 
 
 def _check_params(text: str, positions: Sequence[int], params: object) -> None:
+    """Check that the parameters are a collection with an order."""
     unordered = (str, bytes, Mapping, AbstractSet)
     if isinstance(params, Collection) and not isinstance(params, unordered):
         return

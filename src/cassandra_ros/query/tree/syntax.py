@@ -72,11 +72,11 @@ class Literal:
     bound: bool = True
     """False for a ``?`` or ``%s`` whose value is not bound yet, and for ``made``."""
     made: Call | None = None
-    """Call of constants, parameters and ``now()`` that computes the value."""
+    """Call of constants, parameters and ``now()`` from which binding computes the value."""
 
     @property
     def text(self) -> str:
-        """The value as in a statement."""
+        """The value as in a statement, see value_text; '?' until it is bound."""
         return value_text(self.value) if self.bound else "?"
 
 
@@ -86,6 +86,7 @@ class PathPart:
 
     name: str
     index: int | None
+    """None = no index."""
     position: int
 
 
@@ -108,9 +109,9 @@ class FieldPath:
 
 
 def path_text(names: Sequence[tuple[str, int | None]]) -> str:
-    """Return names and their indexes as in a statement.
+    """Return names and their indexes (None = no index) as in a statement.
 
-    A field called KEY, NODE or RUN is quoted, because unquoted these words have another meaning.
+    A first name KEY, NODE or RUN is quoted, because unquoted these words have another meaning.
     """
     texts = [name if index is None else f"{name}[{index}]" for name, index in names]
     first = names[0][0]
@@ -121,7 +122,7 @@ def path_text(names: Sequence[tuple[str, int | None]]) -> str:
 
 @dataclass(frozen=True)
 class KeyOperand:
-    """``KEY``, the time of a message by which rows are sorted."""
+    """``KEY``, the row key: the time by which rows are sorted, or the name of a message."""
 
     position: int
     text = "KEY"
@@ -162,8 +163,8 @@ class Call:
     """A value computed from others in a row: arithmetic, or a function."""
 
     function: str
-    """One of ARITHMETIC, abs, sqrt, now, time (of KEY and a duration); for an array len, min, max,
-    sum, avg; during parsing also those of QUANTIFIERS, and count."""
+    """One of ARITHMETIC, abs, sqrt, now, time (of KEY and a duration); for an array min, max, sum,
+    avg, len (also for a text); during parsing also those of QUANTIFIERS, and count."""
     arguments: tuple[Term, ...]
     position: int
     depth: int = field(default=1, compare=False)
@@ -177,15 +178,18 @@ class Call:
             arguments = self.arguments[1:] if self.function == "time" else self.arguments
             return f"{self.function}({', '.join(argument.text for argument in arguments)})"
         # A right operand of equal precedence keeps its parentheses.
-        texts = [_within(argument, precedence + n) for n, argument in enumerate(self.arguments)]
+        texts = [
+            _operand_text(argument, precedence + n) for n, argument in enumerate(self.arguments)
+        ]
         if len(texts) == 1:
             return f"-({texts[0]})" if texts[0].startswith("-") else f"-{texts[0]}"
         return f"{texts[0]} {self.function} {texts[1]}"
 
 
-def _within(argument: Term, closeness: int) -> str:
-    least = ARITHMETIC.get(argument.function, closeness) if isinstance(argument, Call) else None
-    return argument.text if least is None or least >= closeness else f"({argument.text})"
+def _operand_text(operand: Term, least: int) -> str:
+    """Return the text of an operand, in parentheses if its precedence is below ``least``."""
+    precedence = ARITHMETIC.get(operand.function, least) if isinstance(operand, Call) else least
+    return operand.text if precedence >= least else f"({operand.text})"
 
 
 Term = Union[FieldPath, KeyOperand, NodeOperand, RunOperand, Literal, Call]
@@ -193,7 +197,7 @@ Term = Union[FieldPath, KeyOperand, NodeOperand, RunOperand, Literal, Call]
 
 
 def inside(term: Term) -> Iterator[Term]:
-    """Yield a term and all terms that it contains."""
+    """Yield a term and all terms that it contains; not those in the ``made`` of a Literal."""
     yield term
     for argument in term.arguments if isinstance(term, Call) else ():
         yield from inside(argument)
@@ -367,21 +371,21 @@ Expression = Union[Leaf, All, Either, Negation]
 
 
 def parts(expression: Expression) -> tuple[Expression, ...]:
-    """Return the conditions that a condition consists of."""
+    """Return the conditions that AND, OR or NOT joins directly; () for a leaf."""
     if isinstance(expression, (All, Either)):
         return expression.items
     return (expression.item,) if isinstance(expression, Negation) else ()
 
 
 def given(leaf: Leaf) -> tuple[Literal, ...]:
-    """Return the values that the operand of a Compare or OneOf is compared with."""
+    """Return the values that the operand of a Compare or OneOf is compared with, else ()."""
     if isinstance(leaf, Compare):
         return (leaf.value,)
     return leaf.values if isinstance(leaf, OneOf) else ()
 
 
 def terms_of(leaf: Leaf) -> tuple[Term, ...]:
-    """Return all terms in a comparison."""
+    """Return all terms in a comparison, in NEAR or in EVENT."""
     if isinstance(leaf, Near):
         return leaf.values
     if isinstance(leaf, InEvent):
@@ -393,7 +397,7 @@ def terms_of(leaf: Leaf) -> tuple[Term, ...]:
 
 
 def leaves(expression: Expression | None) -> Iterator[Leaf]:
-    """Yield the comparisons of a condition, from left to right."""
+    """Yield the leaves of a condition, from left to right; none of None."""
     if isinstance(expression, LEAVES):
         yield expression
     elif expression is not None:
@@ -409,7 +413,7 @@ def wants_array(leaf: Comparison) -> bool | None:
 
 
 def conjuncts(expression: Expression | None) -> Iterator[Expression]:
-    """Yield the conditions that are joined by AND at the top of a condition."""
+    """Yield the conditions that are joined by AND at the top of a condition; none of None."""
     if isinstance(expression, All):
         for item in expression.items:
             yield from conjuncts(item)
@@ -425,12 +429,12 @@ class Ordering:
     descending: bool
     position: int
     place: int = -1
-    """Index of the column in ``Select.asked``; -1 until select_analysis sets it."""
+    """Index of the column in ``Select.asked``; -1 until ``analyse_select`` sets it."""
 
 
 @dataclass(frozen=True)
 class Select:
-    """A SELECT statement with all its values bound."""
+    """A SELECT statement. What ``parse_statement`` returns has its text, and all values bound."""
 
     text: str
     columns: tuple[Selected, ...] | None
@@ -480,7 +484,7 @@ class Select:
 
 @dataclass(frozen=True)
 class Delete:
-    """A DELETE statement with all its values bound."""
+    """A DELETE statement; text and values as in Select."""
 
     text: str
     topic: str
