@@ -18,7 +18,10 @@ from typing import Any, Callable
 
 
 class Count:
-    """The number of values."""
+    """The number of values; the other aggregates have the same methods.
+
+    The caller leaves missing values out.
+    """
 
     _count = 0
 
@@ -52,10 +55,11 @@ class _Sum(Count):
 
     def __init__(self, mean: bool = False) -> None:
         self._mean = self._floats = mean
+        """Whether the result is the average; whether it is a float."""
         # One fraction per row would take thirty times as long as integers.
         self._numerators: dict[int, int] = defaultdict(int)
         """Sum of the numerators, by denominator."""
-        self._odd = 0.0
+        self._not_finite = 0.0
         """Sum of infinities and NaNs."""
 
     def add(self, value: int | float) -> None:
@@ -63,7 +67,7 @@ class _Sum(Count):
         if not isinstance(value, int):
             self._floats = True
             if not math.isfinite(value):
-                self._odd += value
+                self._not_finite += value
                 return
         numerator, denominator = value.as_integer_ratio()
         self._numerators[denominator] += numerator
@@ -71,8 +75,8 @@ class _Sum(Count):
     def value(self) -> int | float | None:
         if not self._count:
             return None
-        if self._odd != 0:
-            return self._odd
+        if self._not_finite != 0:
+            return self._not_finite
         exact = sum((Fraction(n, d) for d, n in self._numerators.items()), Fraction())
         if not self._floats:
             return int(exact)
@@ -89,6 +93,7 @@ TOTALS: dict[str, Callable[[], Count]] = {
     "sum": _Sum,
     "avg": lambda: _Sum(mean=True),
 }
+"""Makes an aggregate without values, by the name of its function."""
 
 
 def total_of(function: str, values: Any) -> object:

@@ -41,7 +41,7 @@ from cassandra_ros.query.tree.syntax import (
 )
 
 Get = Callable[[Any], Any]
-"""Function from the values of a row to one value; None = missing."""
+"""Function from the values of a row (of OperandPlace.place) to one value; None = missing."""
 INTEGER = "sum"
 """Kind of an integer of any size."""
 MAX_BITS = 8192
@@ -58,12 +58,14 @@ class Computed(NamedTuple):
 
 
 class OperandPlace(NamedTuple):
-    """The place of an operand in the rows of one table."""
+    """Where an operand is in the rows of one table."""
 
     kind: str
     """ROS type; for an array the type of its elements."""
     place: int
+    """Index of its value among the values of a row."""
     array: bool = False
+    """Whether its value is a list, or the bytes of uint8[]."""
 
 
 OperandFinder = Callable[[Operand, Optional[bool]], Optional[OperandPlace]]
@@ -129,7 +131,7 @@ def _compile_all(terms: Sequence[Term], find: OperandFinder) -> list[Computed | 
 
 
 def fold(call: Call) -> Literal | Call:
-    """Compute a call of constants only; StatementError: it has no value."""
+    """Return the value of a call of constants only; StatementError: it has no value."""
     computed = compile_term(call, lambda operand, array: None)
     value = None if computed is None else computed.get(())
     if computed is None or value is None:
@@ -179,10 +181,12 @@ def _as_times(call: Call, parts: list[Computed]) -> list[Computed]:
 
 
 def _always(value: object) -> Get:
+    """Return the function that gives one value for every row."""
     return lambda values: value
 
 
 def _reason(call: Call, parts: list[Computed]) -> str:
+    """Return why there is no rule for a call of these operands, as the text of an error."""
     kinds = " and ".join(kind_name(operand.kind) for operand in parts)
     sign = {"neg": "-"}.get(call.function, call.function)
     reason = f"{sign} cannot be computed of {kinds}"
@@ -195,6 +199,8 @@ def _reason(call: Call, parts: list[Computed]) -> str:
 
 
 def _unary(compute: Get, get: Get) -> Get:
+    """Return the function of a row that computes a value of one operand, unless it is missing."""
+
     def value(values: Any) -> Any:
         x = get(values)
         return None if x is None else compute(x)
@@ -233,6 +239,7 @@ def _float(value: Any) -> float:
 
 
 def _divide(x: Any, y: Any) -> float:
+    """Return x / y as IEEE 754 defines it, where Python raises an error."""
     if y == 0:
         sign = math.copysign(1.0, y) * (1 if x > 0 else -1)
         return math.nan if x == 0 or x != x else sign * math.inf
@@ -254,27 +261,30 @@ def _root(x: Any) -> float:
 
 
 def _multiply(x: Any, y: Any) -> Any:
+    """Return x * y; None for an integer of too many bits."""
     product = x * y
     return None if isinstance(product, int) and product.bit_length() > MAX_BITS else product
 
 
-def _length(ns: int) -> int | None:
+def _bounded(ns: int) -> int | None:
+    """Return a duration; None for one beyond all literals, see BEYOND_NS."""
     return ns if abs(ns) < BEYOND_NS else None
 
 
 def _scale(ns: int, factor: Any) -> int | None:
     if isinstance(factor, float) and not math.isfinite(factor):
         return None
-    return _length(round(ns * Fraction(factor)))
+    return _bounded(round(ns * Fraction(factor)))
 
 
-def _divide_length(ns: int, parts: Any) -> int | None:
-    if parts == 0 or parts != parts:
+def _divide_length(ns: int, divisor: Any) -> int | None:
+    if divisor == 0 or divisor != divisor:
         return None
-    return 0 if abs(parts) == math.inf else _length(round(ns / Fraction(parts)))
+    return 0 if abs(divisor) == math.inf else _bounded(round(ns / Fraction(divisor)))
 
 
 def _check_time_range(length: Term) -> None:
+    """Check the argument of ``time``: a constant duration longer than 0."""
     constant = isinstance(length, Literal) and _constant(length)
     if not constant or constant.kind != "duration" or constant.get(()) <= 0:
         reason = f"time takes a duration longer than 0, as time(10s), not {length.text}"
@@ -286,11 +296,11 @@ _RULES: dict[tuple[str, ...], tuple[str, Callable[..., Any]]] = {
     ("+", "number", "number"): ("", _ADD),
     ("+", "time", "duration"): ("time", operator.add),
     ("+", "duration", "time"): ("time", operator.add),
-    ("+", "duration", "duration"): ("duration", lambda a, b: _length(a + b)),
+    ("+", "duration", "duration"): ("duration", lambda a, b: _bounded(a + b)),
     ("-", "number", "number"): ("", _SUBTRACT),
     ("-", "time", "time"): ("duration", operator.sub),
     ("-", "time", "duration"): ("time", operator.sub),
-    ("-", "duration", "duration"): ("duration", lambda a, b: _length(a - b)),
+    ("-", "duration", "duration"): ("duration", lambda a, b: _bounded(a - b)),
     ("*", "number", "number"): ("", _number(_multiply)),
     ("*", "duration", "number"): ("duration", _scale),
     ("*", "number", "duration"): ("duration", lambda factor, ns: _scale(ns, factor)),
@@ -310,6 +320,7 @@ _OF_ARRAYS = ("len", "min", "max", "sum", "avg")
 
 
 def _of_array(call: Call, find: OperandFinder) -> Computed | None:
+    """Compile one of _OF_ARRAYS, as compile_term does; ``len`` also of a text."""
     array, function = call.arguments[0], call.function
     if not isinstance(array, FieldPath):
         reason = f"{function} takes an array here, and {array.text} is not an array"

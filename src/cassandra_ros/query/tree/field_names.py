@@ -81,7 +81,7 @@ class FieldRef:
 @lru_cache(maxsize=256)
 def all_fields(definition: Definition) -> tuple[FieldRef, ...]:
     """Return every field of primitive type in wire order."""
-    return tuple(_leaves(definition, definition.type, ()))
+    return tuple(_primitive_fields(definition, definition.type, ()))
 
 
 @lru_cache(maxsize=MAX_FOUND)
@@ -99,12 +99,12 @@ def fields_of(path: FieldPath, definition: Definition) -> tuple[FieldRef, ...]:
             return (_primitive(path, number, steps, field),)
         steps = (*steps, FieldStep(field.name, field.is_array, path_part.index))
         msg_type = field.type
-    return tuple(_leaves(definition, msg_type, steps))
+    return tuple(_primitive_fields(definition, msg_type, steps))
 
 
 @lru_cache(maxsize=MAX_FOUND)
 def field_of(path: FieldPath, definition: Definition, array: bool | None = False) -> FieldRef:
-    """Return the single field that a path names, for a condition; StatementError: no such field.
+    """Return the field that a path names; StatementError: no field, several, or of another shape.
 
     ``array``: whether it must be a whole array; None = either.
     """
@@ -124,9 +124,11 @@ def field_of(path: FieldPath, definition: Definition, array: bool | None = False
 
 @lru_cache(maxsize=MAX_FOUND)
 def counted_field(path: FieldPath, definition: Definition) -> FieldRef:
-    """Return a field with one value for each element of the array or text that a path names.
+    """Return a field with one value for each element of the array that a path names.
 
-    For an array of messages it is their first field. StatementError: it is neither.
+    For an array of messages it is their first field. A path to any other field gives that field:
+    the caller checks that it is an array or a text. StatementError: the path names one message, or
+    no field.
     """
     refs = fields_of(path, definition)
     if refs and len(refs[0].steps) > len(path.parts):
@@ -154,6 +156,7 @@ def _did_you_mean(names: Sequence[str]) -> str:
 def _field(
     definition: Definition, msg_type: str, path_part: PathPart, steps: Sequence[FieldStep]
 ) -> Field:
+    """Return the field of a message that a path names; StatementError, with similar names: none."""
     fields = {field.name: field for field in definition.specs[msg_type].fields}
     if path_part.name in fields:
         return fields[path_part.name]
@@ -179,6 +182,10 @@ def _check_index(path_part: PathPart, field: Field, path: FieldPath) -> None:
 def _primitive(
     path: FieldPath, number: int, steps: tuple[FieldStep, ...], field: Field
 ) -> FieldRef:
+    """Return the reference to a primitive field, which the part ``number`` of a path names.
+
+    After it may only stand secs or nsecs of a time or duration; else StatementError.
+    """
     path_part, rest = path.parts[number], path.parts[number + 1 :]
     whole = field.is_array and path_part.index is None
     ref = FieldRef((*steps, FieldStep(field.name)), field.base, whole, path_part.index)
@@ -191,12 +198,13 @@ def _primitive(
     raise StatementError(rest[0].position, reason)
 
 
-def _leaves(
+def _primitive_fields(
     definition: Definition, msg_type: str, steps: tuple[FieldStep, ...]
 ) -> Iterator[FieldRef]:
+    """Yield the fields of primitive type in the message to which ``steps`` lead, in wire order."""
     for field in definition.specs[msg_type].fields:
         here = (*steps, FieldStep(field.name, field.is_array and not field.is_primitive))
         if field.is_primitive:
             yield FieldRef(here, field.base, field.is_array)
         else:
-            yield from _leaves(definition, field.type, here)
+            yield from _primitive_fields(definition, field.type, here)

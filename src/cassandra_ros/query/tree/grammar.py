@@ -7,8 +7,7 @@ cql_tables.json, which `make setup GRAMMAR=1` writes: text and numbers only, as 
 pickle, is not. Tables of another grammar, or of another lark, are not used: they are computed then.
 
 ``_Builder`` builds the tree while lark parses the text: terms, then conditions of them, then
-statements. Only this module and completion import lark
-at once: most programs parse nothing.
+statements. Only this module and completion import lark at once: most programs parse nothing.
 """
 
 from __future__ import annotations
@@ -98,7 +97,7 @@ def _compute_parser() -> Lark:
 
 
 def _origin() -> str:
-    """Return what the tables follow from: the version of lark, and the hash of the grammar."""
+    """Return from what the tables were made: the version of lark, and the hash of the grammar."""
     return f"lark {lark.__version__} {hashlib.sha256(_GRAMMAR.read_bytes()).hexdigest()}"
 
 
@@ -108,7 +107,9 @@ def _with_numbers(table: dict[str, Any]) -> dict[Any, Any]:
 
 
 _Not = Optional[Token]
+"""The word NOT; None = it is not there."""
 MAX_DEPTH = 100
+"""Maximum nesting depth of a condition, and of what is computed."""
 NEAR_VALUES = (3, 5)
 """Minimum and maximum number of arguments of NEAR."""
 MAX_DIGITS = 400
@@ -119,10 +120,12 @@ MAX_DIGITS = 400
 class _Terms(Transformer):  # type: ignore[type-arg]
     """Builds fields, constants and what is computed of them.
 
-    Here and below: a method for each rule of the grammar, which lark calls.
+    Here and below: a method for each rule of the grammar, which lark calls with what stands in the
+    rule, None for an optional item that is absent. A StatementError ends the parsing.
     """
 
     def call(self, word: Token, argument: None | Token | Term) -> Call:
+        """Make a call; ``argument`` is a Token for ``*``, None for empty parentheses."""
         function, at = word.lower(), _at(word)
         if function == "now":
             if argument is not None:
@@ -136,7 +139,7 @@ class _Terms(Transformer):  # type: ignore[type-arg]
             raise StatementError(spot, f"{reason}; only count takes *")
         arguments = (KeyOperand(at), argument) if function == "time" else (argument,)
         if function in QUANTIFIERS and not isinstance(argument, FieldPath):
-            reason = f"{word.upper()} takes an array, not {_part(argument).text}"
+            reason = f"{word.upper()} takes an array, not {_row_term(argument).text}"
             raise StatementError(argument.position, reason)
         return _call(function, arguments, at)
 
@@ -149,11 +152,12 @@ class _Terms(Transformer):  # type: ignore[type-arg]
     def place(self, token: Token) -> Operand:
         return _OWN[str(token)](_at(token))
 
-    def path(self, *parts: tuple[PathPart, ...]) -> FieldPath:
-        names = tuple(name for group in parts for name in group)
-        return FieldPath(names, names[0].position)
+    def path(self, *groups: tuple[PathPart, ...]) -> FieldPath:
+        path_parts = tuple(path_part for group in groups for path_part in group)
+        return FieldPath(path_parts, path_parts[0].position)
 
     def part(self, token: Token, index: Token | None) -> tuple[PathPart, ...]:
+        """Return one name of a path, or all names of a path that is quoted whole: "a.b"."""
         names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
         path_parts = [PathPart(name, None, _at(token)) for name in names]
         if index is not None:
@@ -223,11 +227,13 @@ class _Conditions(_Terms):
     def between(self, operand: Term, negated: _Not, low: Term, high: Term) -> Expression:
         ends = ((">=", low), ("<=", high))
         if _quantifies(operand):
-            return _make_quantified(operand, [(s, _part(end)) for s, end in ends], negated, False)
+            tests = [(s, _row_term(end)) for s, end in ends]
+            return _make_quantified(operand, tests, negated, False)
         inside = All(tuple(compared(operand, s, end, end.position) for s, end in ends))
         return _unless(negated, inside)
 
     def near(self, word: Token, *values: Term | tuple[Term, ...] | None) -> Near:
+        """Make NEAR of its terms; a tuple at the end holds those after IN, see ``frame``."""
         names = values[-1] if isinstance(values[-1], tuple) else ()
         terms = [term for term in values if term is not None and not isinstance(term, tuple)]
         if names and len(terms) != NEAR_VALUES[0]:
@@ -270,9 +276,11 @@ class _Builder(_Conditions):
         order: tuple[Ordering, ...] | None,
         limit: Literal | None,
     ) -> tuple[Select, Literal | None]:
+        """Return the statement and its LIMIT, which is set when it is bound."""
         selection = None if isinstance(columns, Token) else columns
         order, group = order or (), group or ()
         down = False
+        # Rows are read in the order of KEY anyway: that alone needs no sorting.
         if len(order) == 1 and isinstance(order[0].what, KeyOperand) and not group:
             down, order = order[0].descending, ()
         select = Select("", selection, *topic, condition, down, None, distinct is not None)
@@ -318,7 +326,7 @@ class _Builder(_Conditions):
         return _name(token), _at(token)
 
     def group(self, *terms: Term) -> tuple[Term, ...]:
-        return tuple(_part(term) for term in terms)
+        return tuple(_row_term(term) for term in terms)
 
     def order(self, *parts: Ordering) -> tuple[Ordering, ...]:
         return parts
@@ -329,6 +337,7 @@ class _Builder(_Conditions):
 
 
 _OWN = {kind.text: kind for kind in (KeyOperand, NodeOperand, RunOperand)}
+"""Operands by their words."""
 
 
 def _at(token: Token) -> int:
@@ -363,19 +372,21 @@ _UNIT = re.compile(r"([0-9.]+)([a-z]+)")
 
 
 def _call(function: str, arguments: tuple[Term, ...], position: int) -> Call:
-    parts = arguments if function in QUANTIFIERS else tuple(map(_part, arguments))
-    depth = 1 + max(argument.depth if isinstance(argument, Call) else 0 for argument in parts)
+    """Return a call of one or more terms; StatementError: it is nested too deeply."""
+    if function not in QUANTIFIERS:
+        arguments = tuple(map(_row_term, arguments))
+    depth = 1 + max(argument.depth if isinstance(argument, Call) else 0 for argument in arguments)
     if depth > MAX_DEPTH:
         raise StatementError(position, f"what is computed is nested deeper than {MAX_DEPTH}")
-    return Call(function, parts, position, depth)
+    return Call(function, arguments, position, depth)
 
 
 def _quantifies(term: Term) -> bool:
     return isinstance(term, Call) and term.function in QUANTIFIERS
 
 
-def _part(term: Term) -> Term:
-    """Return a term that is allowed anywhere, else raise StatementError."""
+def _row_term(term: Term) -> Term:
+    """Return a term that has a value in a row; StatementError: it is ANY, ALL or count."""
     if not isinstance(term, Call):
         return term
     if term.function in QUANTIFIERS:
@@ -392,27 +403,31 @@ def _part(term: Term) -> Term:
 
 def _varying(term: Term) -> Term:
     """Return a term whose value differs from row to row, else raise StatementError."""
-    if is_constant(_part(term)):
+    term = _row_term(term)
+    if is_constant(term):
         reason = "names no field: it is the same for each message"
-        raise StatementError(term.position, f"{_part(term).text} {reason}")
-    return _part(term)
+        raise StatementError(term.position, f"{term.text} {reason}")
+    return term
 
 
 def _column(term: Term) -> Term | Aggregate:
     """Return the term or aggregate of a column of a result."""
     if isinstance(term, Call) and term.function in AGGREGATES:
-        operand = _part(term.arguments[0]) if term.arguments else None
+        operand = _row_term(term.arguments[0]) if term.arguments else None
         return Aggregate(term.function, operand, term.position)
-    return _part(term)
+    return _row_term(term)
 
 
 def _value(term: Term) -> Literal:
-    """Return a constant term; it is computed when the parameters are bound."""
+    """Return a constant as a Literal, else raise StatementError.
+
+    A call of constants is computed when the parameters are bound.
+    """
     if isinstance(term, Literal):
         return term
-    if isinstance(term, Call) and is_constant(_part(term)):
+    if isinstance(term, Call) and is_constant(_row_term(term)):
         return Literal(None, term.position, bound=False, made=term)
-    reason = f"{_part(term).text} differs from row to row, but here a constant is needed; "
+    reason = f"{_row_term(term).text} differs from row to row, but here a constant is needed; "
     raise StatementError(term.position, f"{reason}text stands in quotes: 'text'")
 
 
@@ -420,12 +435,15 @@ _FLIPPED = {"=": "=", "!=": "!=", "<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
 def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
-    """Return the comparison of two terms; if only one is a field, it becomes the left operand."""
+    """Return the comparison of two terms by =, !=, <, <=, > or >=.
+
+    If only one of them is a constant, it becomes the right operand; ANY and ALL the left one.
+    """
     if _quantifies(right) and not _quantifies(left):
         left, sign, right = right, _FLIPPED[sign], left
     if _quantifies(left):
-        return _make_quantified(left, [(sign, _part(right))], None, False)
-    left, right = _part(left), _part(right)
+        return _make_quantified(left, [(sign, _row_term(right))], None, False)
+    left, right = _row_term(left), _row_term(right)
     if isinstance(right, FieldPath) and right.text.lower() == "null":
         reason = "found 'null' (what is missing is found by IS NULL)"
         raise StatementError(right.position, reason)
@@ -442,14 +460,13 @@ def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
 def _make_quantified(
     term: Term, tests: Sequence[tuple[str, Term]], negated: _Not, either: bool
 ) -> Expression:
-    call = term
-    if not isinstance(call, Call) or not isinstance(call.arguments[0], FieldPath):
+    """Return the condition of ANY or ALL, whose call is ``term``; the others as in Quantified."""
+    if not isinstance(term, Call) or not isinstance(term.arguments[0], FieldPath):
         raise AssertionError("the grammar lets nothing else through")
-    every, array = call.function == "all", call.arguments[0]
-    compares = [(sign, _value(to) if is_constant(to) else to) for sign, to in tests]
+    every, array = term.function == "all", term.arguments[0]
+    compares = [(sign, _value(other) if is_constant(other) else other) for sign, other in tests]
     sign, first = compares[0] if compares else ("", None)
     if sign == "=" and len(compares) == 1 and isinstance(first, Literal) and not (every or negated):
-        return Compare(
-            array, "CONTAINS", first
-        )  # equivalent, and the planner can use it more often
-    return Quantified(array, every, tuple(compares), call.position, either, negated is not None)
+        # Equivalent, and the planner can use it more often.
+        return Compare(array, "CONTAINS", first)
+    return Quantified(array, every, tuple(compares), term.position, either, negated is not None)

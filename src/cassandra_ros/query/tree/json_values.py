@@ -19,8 +19,8 @@ from cassandra_ros.query.tree.syntax import DecimalText
 
 MAX_ANSWER_BYTES = 64 * 2**20
 """Maximum size of an answer, or of one row of it, bytes."""
-_NUMBER = 2
-"""Minimum length of an element of a list as JSON, with its comma, bytes."""
+_LEAST_ELEMENT_BYTES = 2
+"""Minimum size of a number in a row or list as JSON, with the comma after it, bytes."""
 
 
 def to_json(value: object) -> str:
@@ -68,6 +68,7 @@ def from_json(text: str, name: str = "the value") -> Any:
 
 
 def _simple(value: object) -> object:
+    """Return bytes as base64 text, a time or duration as ns; TypeError: another type."""
     if isinstance(value, (bytes, bytearray)):
         return base64.b64encode(value).decode("ascii")
     if hasattr(value, "to_nsec"):
@@ -123,7 +124,8 @@ def least_bytes(value: object) -> int:
     if isinstance(value, (str, bytes, bytearray)):
         return len(value)
     if not isinstance(value, list):
-        return _NUMBER
+        return _LEAST_ELEMENT_BYTES
+    # The elements of a list are of one kind, so the first one tells.
     if value and isinstance(value[0], (str, bytes, bytearray, list)):
         return sum(map(least_bytes, value))
-    return _NUMBER * len(value)
+    return _LEAST_ELEMENT_BYTES * len(value)

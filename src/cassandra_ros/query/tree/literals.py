@@ -43,9 +43,10 @@ def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
 
 
 def fit_to_kind(literal: Literal, kind: str, name: str, is_a: str) -> Comparable:
-    """Return the value to compare a kind with; ``name`` and ``is_a`` describe it in error texts.
+    """Return the value to compare a value of a kind (a primitive ROS type, or INTEGER) with.
 
-    StatementError: the literal is of another kind.
+    ``name`` and ``is_a`` say in error texts what it is compared with. StatementError: the literal
+    is of another kind.
     """
     if kind == "time":
         return fit_to_time(literal, name)
@@ -65,7 +66,7 @@ def fitting(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
 
 
 def fit_to_time(literal: Literal, name: str = "KEY") -> int:
-    """Return the nanoseconds of a literal; StatementError: not a time.
+    """Return the ns since 1970 of a literal; StatementError: not a time.
 
     Numbers may be outside ROS time: the comparison is then simply true or false.
     """
@@ -109,7 +110,10 @@ def _text(value: object) -> Comparable | None:
 
 
 def _number_to_ns(value: object) -> int | None:
-    """Return the ns of an int (nanoseconds) or another number (seconds); None for other values."""
+    """Return the ns of an int (nanoseconds) or another number (seconds); None: NaN, or no number.
+
+    Seconds beyond all times, also infinite ones, become ±BEYOND_NS.
+    """
     if isinstance(value, bool) or not isinstance(value, (Real, Decimal)):
         return None
     if isinstance(value, Integral):
@@ -126,7 +130,10 @@ def _number_to_ns(value: object) -> int | None:
 
 
 def length_ns(value: Any) -> int | None:
-    """Return the ns of an object whose type is a length of time; None for other types."""
+    """Return the ns of an object whose type is a length of time; None for other types.
+
+    None also for a length that ns cannot express (NaT, or a part of a ns).
+    """
     if isinstance(value, DurationNs):
         return int(value)
     with suppress(InvalidKey):
@@ -136,6 +143,7 @@ def length_ns(value: Any) -> int | None:
 
 def _duration(value: Any) -> Comparable | None:
     ns = length_ns(value)
+    # A TimeNs is an int, and numpy.timedelta64 is registered as one, but neither means ns here.
     if ns is not None or isinstance(value, (TimeNs, np.timedelta64)):
         return ns
     return _number_to_ns(value)

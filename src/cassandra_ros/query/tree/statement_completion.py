@@ -102,7 +102,8 @@ def complete(text: str, cursor: int, source: NameSource) -> Offers:
 
     Args:
         text: The statement as typed so far; may continue after the cursor.
-        cursor: The position, 0 to the length of the text; a larger one is reduced to that.
+        cursor: The position, 0 to the length of the text (at most MAX_STATEMENT); another one is
+            moved to the nearest of these.
         source: Known names.
     """
     cursor = max(0, min(cursor, len(text), MAX_STATEMENT))
@@ -117,8 +118,8 @@ def complete(text: str, cursor: int, source: NameSource) -> Offers:
     fitting = [_indexed(offer, before[start:]) for offer in offers if _fits(offer, word)]
     # Names that begin with the word come first; the sort is stable, to keep fields in wire order.
     fitting.sort(key=lambda offer: not offer.text.lower().lstrip("/").startswith(word.lstrip("/")))
-    alone = len(fitting) == 1 and fitting[0].text == before[start:]
-    return Offers.first(start, () if alone else fitting)
+    complete_already = len(fitting) == 1 and fitting[0].text == before[start:]
+    return Offers.first(start, () if complete_already else fitting)
 
 
 def _begin(before: str) -> int:
@@ -139,7 +140,7 @@ def _fits(offer: Offer, word: str) -> bool:
 
 
 def _indexed(offer: Offer, word: str) -> Offer:
-    """Return a field offer with the indexes that are typed already."""
+    """Return an offer; a field offer with the indexes that are typed already in ``word``."""
     plain = _without_indexes(word)
     begins = offer.kind == "field" and offer.text.lower().startswith(plain.lower())
     if plain == word or not begins:
@@ -152,7 +153,7 @@ def _without_indexes(word: str) -> str:
 
 
 def _tokens(before: str) -> tuple[set[str], Sequence[Token]] | None:
-    """Return the tokens accepted after a text, and those in it; None if the text is wrong."""
+    """Return the types of tokens accepted after a text, and its tokens; None: it is wrong."""
     parser = grammar().parse_interactive(before, start="statement")
     previous: list[Token] = []
     try:
@@ -171,10 +172,10 @@ def _offers(
     if "TOPIC" in accepted:
         offers += [Offer(_topic(name), "topic") for name in source.topics()]
     offers += _values(previous, accepted, source)
-    if "NAME" in accepted and "_ON" not in accepted and not _names_something(previous):
+    if "NAME" in accepted and "_ON" not in accepted and not _new_name_follows(previous):
         offers += _fields(text, source)
     if "FUNCTION" in accepted:
-        functions = _FUNCTIONS + (_QUANTIFIERS if _is_condition(previous) else ())
+        functions = _FUNCTIONS + (_QUANTIFIERS if _is_in_where(previous) else ())
         offers += [Offer(f"{name}(", "function") for name in functions]
     if "STAR" in accepted and previous and previous[-1].type != "_SELECT":
         accepted = accepted - {"STAR"}  # here it means multiplication
@@ -187,23 +188,22 @@ def _topic(name: str) -> str:
     return name if _PLAIN_TOPIC.fullmatch(name) else '"' + name.replace('"', '""') + '"'
 
 
-def _names_something(previous: Sequence[Token]) -> bool:
-    """Return whether a new name follows."""
+def _new_name_follows(previous: Sequence[Token]) -> bool:
     return bool(previous) and previous[-1].type == "_AS"
 
 
-def _is_condition(previous: Sequence[Token]) -> bool:
-    places = [t.type for t in previous if t.type in ("_WHERE", "_GROUP", "_ORDER")]
-    return places[-1:] == ["_WHERE"]
+def _is_in_where(previous: Sequence[Token]) -> bool:
+    clauses = [t.type for t in previous if t.type in ("_WHERE", "_GROUP", "_ORDER")]
+    return clauses[-1:] == ["_WHERE"]
 
 
 def _values(previous: Sequence[Token], accepted: set[str], source: NameSource) -> Sequence[Offer]:
     """Return the known nodes or runs if NODE or RUN is compared with a text."""
     if "TEXT" not in accepted or len(previous) < 2 or previous[-1].type != "OPERATOR":
         return ()
-    names = {"NODE": source.nodes, "RUN": source.runs}.get(previous[-2].type)
-    every = () if names is None else names()
-    return [Offer("'" + name.replace("'", "''") + "'", "value") for name in every]
+    read_names = {"NODE": source.nodes, "RUN": source.runs}.get(previous[-2].type)
+    names = () if read_names is None else read_names()
+    return [Offer("'" + name.replace("'", "''") + "'", "value") for name in names]
 
 
 def _fields(text: str, source: NameSource) -> Sequence[Offer]:

@@ -60,7 +60,7 @@ _UNITS = {
 
 
 def unit_of_field(steps: Sequence[FieldStep], definition: Definition) -> str:
-    """Return the unit of a field; '' = unknown."""
+    """Return the unit of the field to which steps lead; '' = unknown."""
     unit, msg_type = "", definition.type
     for step in steps:
         # The innermost message with a unit decides: an angular velocity is a plain Vector3.
@@ -72,7 +72,7 @@ def unit_of_field(steps: Sequence[FieldStep], definition: Definition) -> str:
 
 
 def unit_of(what: Term | Aggregate, definition: Definition) -> str:
-    """Return the unit of a selected term; '' = unknown."""
+    """Return the unit of a selected term; '' = unknown, also if this definition lacks a field."""
     if isinstance(what, FieldPath):
         try:
             ref = field_of(what, definition, None)
