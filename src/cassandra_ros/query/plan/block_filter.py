@@ -70,7 +70,10 @@ _WHOLE = {"uint32": "time", "int32": "duration"}
 
 
 def compile_sift(expression: Expression, definition: Definition) -> Sift | None:
-    """Return the filter of blocks of one type; None if the condition leaves no message out."""
+    """Return the filter of blocks of one type; None if the condition leaves no message out.
+
+    A message that is in no stack passes: it is malformed, or few messages have its layout.
+    """
     refs: list[FieldRef] = []
     compiled, finder = _compile(expression, definition, refs), stacker(definition)
     if compiled is None:
@@ -112,7 +115,7 @@ def _compile(expression: Expression, definition: Definition, refs: list[FieldRef
             return None
         mask = _join([test.mask for test in tests], np.logical_or if either else np.logical_and)
         return _Test(mask, not partly and all(test.is_exact for test in tests))
-    return _leaf(expression, definition, refs)
+    return _leaf_test(expression, definition, refs)
 
 
 def _join(tests: Sequence[_Mask], join: Any) -> _Mask:
@@ -125,7 +128,8 @@ def _join(tests: Sequence[_Mask], join: Any) -> _Mask:
     return test
 
 
-def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | None:
+def _leaf_test(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | None:
+    """Compile a leaf like _compile; None if it leaves no message out."""
     if isinstance(leaf, Quantified):
         return _quantifier_test(leaf, definition, refs)
     if isinstance(leaf, Compare) and isinstance(leaf.operand, Call):
@@ -134,7 +138,7 @@ def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | N
         of_array = call.function in ("min", "max") and leaf.operator != "LIKE"
         array = call.arguments[0] if of_array else None
         if isinstance(array, FieldPath):
-            test = _elements(array, leaf.operator, leaf.value, np.any, definition, refs)
+            test = _elements_test(array, leaf.operator, leaf.value, np.any, definition, refs)
             return None if test is None else test._replace(is_exact=False)
     if not isinstance(leaf, (Compare, OneOf)) or not isinstance(leaf.operand, FieldPath):
         return None
@@ -172,10 +176,10 @@ def _quantifier_test(
     if not isinstance(value, Literal) or operator == "LIKE":
         return None
     join = np.all if leaf.every else np.any
-    return _elements(leaf.operand, operator, value, join, definition, refs)
+    return _elements_test(leaf.operand, operator, value, join, definition, refs)
 
 
-def _elements(
+def _elements_test(
     array: FieldPath,
     operator: str,
     value: Literal,
@@ -208,14 +212,15 @@ _NS = ("time", "duration")
 
 
 def _never(stack: Stack) -> Mask:
+    """Return that no message of a stack matches."""
     return np.zeros(stack.planes.shape[1], np.bool_)
 
 
 _NEVER = _Test(_never, True)
 
 
-def _place(ref: FieldRef) -> slice | None:
-    """Return which offsets of a field in arrays of messages are selected; None: unknown."""
+def _chosen_offsets(ref: FieldRef) -> slice | None:
+    """Return which of the offsets that a layout lists for a field a path selects; None: unknown."""
     many = [step for step in ref.steps if step.many]
     indexes = [step.index for step in many if step.index is not None]
     if not indexes:
@@ -225,22 +230,22 @@ def _place(ref: FieldRef) -> slice | None:
 
 
 def _getter(ref: FieldRef) -> _Get | None:
-    """Return the function that reads a number: (offsets, messages)."""
+    """Return the function that reads a number: (offsets, messages); None: unknown offsets."""
     base = _WHOLE[ref.type] if ref.part else ref.type
-    path, part_slice = ref.column, _place(ref)
+    path, chosen = ref.column, _chosen_offsets(ref)
     many = any(step.many for step in ref.steps)
     index = ref.index
-    if part_slice is None or (many and (ref.is_array or index is not None)):
+    if chosen is None or (many and (ref.is_array or index is not None)):
         return None
     if ref.is_array:
         return lambda stack: stack.array(path, base)
     if index is not None:
         at = index
-        return _part(ref.part, lambda stack: stack.element(path, at, base))
-    return _part(ref.part, lambda stack: stack.numbers(path, base, part_slice))
+        return _time_part(ref.part, lambda stack: stack.element(path, at, base))
+    return _time_part(ref.part, lambda stack: stack.numbers(path, base, chosen))
 
 
-def _part(time_part: str, get: _Get) -> _Get:
+def _time_part(time_part: str, get: _Get) -> _Get:
     """Return the function that reads secs or nsecs of a time, or the whole time."""
     if time_part == "secs":
         return lambda stack: get(stack) // SECOND_NS
@@ -251,19 +256,20 @@ def _part(time_part: str, get: _Get) -> _Get:
 
 def _text_mask(ref: FieldRef, operator: str, values: Sequence[str]) -> _Mask | None:
     """Compile a test for equal texts; None for values that bytes cannot be compared with."""
-    place, path = _place(ref), ref.column
+    chosen, path = _chosen_offsets(ref), ref.column
     many = any(step.many for step in ref.steps)
     if ref.index is not None:
-        place = None if many else slice(ref.index, ref.index + 1)
-    elif ref.is_array and many and place != slice(None):
-        place = None  # earlier elements may hold any number of texts
-    if operator not in ("=", "CONTAINS") or place is None:
+        chosen = None if many else slice(ref.index, ref.index + 1)
+    elif ref.is_array and many and chosen != slice(None):
+        chosen = None  # earlier elements may hold any number of texts
+    if operator not in ("=", "CONTAINS") or chosen is None:
         return None
+    # Bytes that are not UTF-8 are read as this character.
     if any("\N{REPLACEMENT CHARACTER}" in value for value in values):
         return None
     # Texts that were read contain no surrogates.
     raws = {v.encode("utf-8") for v in values if v.isascii() or _is_utf8(v)}
-    where: slice = place
+    where: slice = chosen
 
     def test(stack: Stack) -> Mask:
         mask = _never(stack)
@@ -286,7 +292,7 @@ def _is_utf8(text: str) -> bool:
 
 
 def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
-    """Compile a comparison that is exact for all types, like Python's."""
+    """Compile a comparison (not =) of numbers of a type that is exact, like Python's."""
     below, above = _neighbours(dtype, value)
     none, every = (lambda x: np.zeros(x.shape, np.bool_)), (lambda x: np.ones(x.shape, np.bool_))
     if value != value:
@@ -301,6 +307,7 @@ def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
 
 
 def _one_of(dtype: np.dtype[Any], values: Sequence[Any]) -> _Compare:
+    """Compile the test whether a number equals one of some values, as exact as _comparison."""
     numbers = []
     for value in values:
         below, above = _neighbours(dtype, value) if value == value else (None, None)

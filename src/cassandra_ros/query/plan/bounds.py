@@ -53,6 +53,7 @@ from cassandra_ros.query.tree.syntax import (
 from cassandra_ros.read import EVERYTHING, Named, Read, TimeRange, Whose
 
 _ORDERED = ("<", "<=", ">", ">=")
+"""Operators that need an order of the values."""
 
 NsRange = Tuple[int, int]
 """A time range, ns, both ends included."""
@@ -61,6 +62,7 @@ RangeSource = Callable[[int, int, bool], Iterator[NsRange]]
 
 _EARTH_NAMES = ("the latitude", "the longitude")
 _NAMES = ("the frame", "the robot")
+"""Names of the arguments of NEAR in error texts."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,14 @@ class Bounds:
     """Function that returns the ranges of KEY outside of which no row matches; None = unknown."""
 
     def reads(self) -> Iterator[Read]:
-        """Yield the reads of the rows inside, in the direction of reading."""
+        """Yield the reads of the rows inside, in the direction of reading.
+
+        One for each range of ``spans``, which is computed when the iterator is advanced.
+        """
         read = self.read
         if self.empty:
             return
+        # Messages under a name are found without their times.
         if self.spans is None or read.only is not None:
             yield read
             return
@@ -118,11 +124,12 @@ def bounds_of(select: Select, read: Read = EVERYTHING, tables: Sequence[Table] =
     Args:
         select: The statement.
         read: Time range, nodes and writers of the messages that are read.
-        tables: Tables of its topic, which may be in several keyspaces; without one RUN does not
+        tables: Tables of its topic, which may be in several keyspaces; without a table RUN does not
             narrow the bounds.
 
     Raises:
-        InvalidQuery: KEY, NODE or RUN is compared with a value of another kind.
+        InvalidQuery: KEY, NODE or RUN is compared with a value of another kind, or a KEY that is a
+            name by < <= > or >=.
     """
     bounds = Bounds(read, empty=read.whose.empty).within(0, MAX_NS)
     named, runs = any(table.named for table in tables), _distinct(table.runs for table in tables)
@@ -150,7 +157,7 @@ def in_another_unit(condition: Expression | None) -> Iterator[Literal]:
 
 
 def bounds_time(conjunct: Expression) -> bool:
-    """Return whether a part of a condition only sets an end of the time range of a read."""
+    """Return whether a part of a condition only sets ends of the time range, if KEY is a time."""
     return (
         isinstance(conjunct, Compare)
         and isinstance(conjunct.operand, KeyOperand)
@@ -159,6 +166,10 @@ def bounds_time(conjunct: Expression) -> bool:
 
 
 def _narrow(bounds: Bounds, conjunct: Expression, named: bool, runs: Sequence[RunNames]) -> Bounds:
+    """Return bounds narrowed by one part of a condition that is joined by AND.
+
+    They are no longer ``whole`` if the part says more than the bounds. ``named``: KEY is a name.
+    """
     if (
         isinstance(conjunct, Compare)
         and isinstance(conjunct.operand, RunOperand)
@@ -234,7 +245,8 @@ def _with_stays(item: Expression, scope: _ReadScope) -> Expression:
 
 
 def _with_stays_of(leaf: Timed, scope: _ReadScope) -> Timed:
-    find = _events_of(leaf, scope) if isinstance(leaf, InEvent) else _places_of(leaf, scope)
+    # This checks the arguments, also those of a topic without tables.
+    find = _event_finder(leaf, scope) if isinstance(leaf, InEvent) else _stay_finder(leaf, scope)
     if not scope.tables:
         return leaf
     try:
@@ -243,7 +255,8 @@ def _with_stays_of(leaf: Timed, scope: _ReadScope) -> Timed:
         raise StatementError(leaf.position, str(exc)) from exc
 
 
-def _places_of(near: Near, scope: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
+def _stay_finder(near: Near, scope: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
+    """Check NEAR; return the function that finds the stays of the robots of some tables."""
     disk, whose = disk_of(near), scope.read.whose
 
     def find(tables: Sequence[Table]) -> Stays:
@@ -258,7 +271,8 @@ def _places_of(near: Near, scope: _ReadScope) -> Callable[[Sequence[Table]], Sta
     return find
 
 
-def _events_of(leaf: InEvent, scope: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
+def _event_finder(leaf: InEvent, scope: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
+    """Check EVENT; return the function that finds the events of the robots of some tables."""
     name = leaf.name.value
     if not isinstance(name, str):
         reason = f"the name of an event is a text in quotes, as 'bump', not {leaf.name.text}"
@@ -275,16 +289,18 @@ _T = TypeVar("_T")
 
 
 def _distinct(lookups: Iterable[_T]) -> list[_T]:
-    """Return the lookups of the keyspaces of some tables, each once."""
+    """Return the lookups of the keyspaces of some tables, each once.
+
+    Tables of one keyspace share the object, so it identifies the keyspace.
+    """
     return list({id(lookup): lookup for lookup in lookups}.values())
 
 
 def disk_of(near: Near) -> Disk:
     """Return the disk of a bound NEAR; StatementError: an argument is invalid."""
     radius = _radius(near.values[2])
-    frame, *robot = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])] or [
-        usual_frame(near.values[2].value)
-    ]
+    texts = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])]
+    frame, *robot = texts or [usual_frame(near.values[2].value)]
     frame = frame.lstrip("/")
     on_earth = frame == WGS84
     names, unit = (_EARTH_NAMES, "degrees") if on_earth else (("x", "y"), "metres")
@@ -293,14 +309,15 @@ def disk_of(near: Near) -> Disk:
 
 
 def usual_frame(radius: object) -> str:
-    """Return the frame of NEAR where none is named: a radius with a unit, as 20m, is on the Earth.
+    """Return the frame of NEAR where none is named.
 
-    Plain numbers are metres in map.
+    It is the Earth for a radius with a unit, which is a text as 20m, and map for a number.
     """
     return WGS84 if isinstance(radius, str) else "map"
 
 
 def _radius(literal: Literal) -> float:
+    """Return a radius, m; StatementError: it is not a length, or negative."""
     if isinstance(literal.value, str):
         try:
             return metres(literal.value)
@@ -344,17 +361,17 @@ def spans_of(condition: Expression | None) -> RangeSource | None:
         all_sources = [spans_of(item) for item in condition.items]
         sources = [spans for spans in all_sources if spans is not None]
         if isinstance(condition, All):
-            return _both(sources) if sources else None
+            return _intersect(sources) if sources else None
         return _unite(sources) if len(sources) == len(all_sources) else None
     return None
 
 
-def _both(every: Sequence[RangeSource]) -> RangeSource:
+def _intersect(sources: Sequence[RangeSource]) -> RangeSource:
     """Return the intersection: the ranges of one function are requested inside those of another."""
-    first, rest = every[0], every[1:]
+    first, rest = sources[0], sources[1:]
     if not rest:
         return first
-    others = _both(rest)
+    others = _intersect(rest)
 
     def spans(low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         for start, end in first(low, high, reverse):
@@ -364,6 +381,7 @@ def _both(every: Sequence[RangeSource]) -> RangeSource:
 
 
 def _unite(sources: Sequence[RangeSource]) -> RangeSource:
+    """Return the union; ranges that overlap or touch are joined."""
     if len(sources) == 1:
         return sources[0]
 

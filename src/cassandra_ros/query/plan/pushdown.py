@@ -23,16 +23,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from operator import ge, gt, le, lt
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    NamedTuple,
-    Optional,
-    Protocol,
-    Sequence,
-    Tuple,
-)
+from typing import Any, Callable, Dict, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy
 
@@ -59,19 +50,22 @@ from cassandra_ros.query.tree.syntax import (
     conjuncts,
     wants_array,
 )
+from cassandra_ros.read import Query, Terms
 
 MAX_TERM_BYTES = 1024
 """Maximum size of a text that is compared with zones, bytes."""
 ServerTerm = Tuple[str, str, bytes]
-"""Column, operator and encoded value."""
-Ways = Optional[Tuple[Tuple[ServerTerm, ...], ...]]
+"""Column, operator and encoded value: one of Terms."""
+Ways = Optional[Tuple[Terms, ...]]
 """Alternatives; each is a set of terms that must all hold. A matching row satisfies at least one.
 None: any row may match. Empty: no row can match."""
 
 NEVER: Ways = ()
+"""The ways for a comparison that no row can satisfy."""
 _BITS = {"tinyint": 8, "smallint": 16, "int": 32, "bigint": 64}
 _RANGES = {cql_type: (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for cql_type, n in _BITS.items()}
 _RANGES.update(boolean=(0, 1), varint=(0, 2**64 - 1))
+"""Minimum and maximum of the integers in a column, by CQL type."""
 _COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge}
 _FLOATS: Any = {"float": numpy.float32, "double": numpy.float64}
 
@@ -93,7 +87,8 @@ class ServerColumn:
 def ways_of(column: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
     """Return the terms for a comparison of a column (= < <= > >= CONTAINS) with values.
 
-    ``=`` and ``CONTAINS`` may have several values, one of which must match.
+    ``=`` and ``CONTAINS`` may have several values, one of which must match; the others have one.
+    None for any other operator.
     """
     if operator == "=" or (operator == "CONTAINS" and column.many):
         return _equal(column, "CONTAINS" if column.many else "=", values)
@@ -103,7 +98,10 @@ def ways_of(column: ServerColumn, operator: str, values: Sequence[Comparable]) -
 
 
 def span_of(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
-    """Return the terms for a number between the minimum and maximum of some values."""
+    """Return the terms for a number between the minimum and maximum of one or more values.
+
+    None: a value is a text or NaN, or the column holds many values.
+    """
     numbers = [v for v in values if not isinstance(v, str) and v == v]
     if column.many or not numbers or len(numbers) < len(values):
         return None
@@ -115,7 +113,7 @@ def span_of(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
 
 
 def _equal(column: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
-    ways: dict[tuple[ServerTerm, ...], None] = {}
+    ways: dict[Terms, None] = {}
     for value in values:
         raws = _exact(column, value)
         if raws is None:
@@ -128,7 +126,10 @@ def _equal(column: ServerColumn, operator: str, values: Sequence[Comparable]) ->
 
 
 def _exact(column: ServerColumn, value: Comparable) -> list[bytes] | None:
-    """Encode all values that equal one; None if the column may lack such a value."""
+    """Encode all values of a column's type that equal a value, at most two: −0.0 and 0.0.
+
+    [] if there is no such value; None if a row with it may have no column, as for a long text.
+    """
     if isinstance(value, str) != (column.cql_type == "text") or value != value:
         return []
     if isinstance(value, str):
@@ -149,6 +150,7 @@ def _exact(column: ServerColumn, value: Comparable) -> list[bytes] | None:
 
 
 def _bound_ways(column: ServerColumn, operator: str, value: Comparable) -> Ways:
+    """Return the term for one of < <= > >=; None for texts and bools, and if all values pass."""
     if isinstance(value, str) or column.cql_type in ("text", "boolean"):
         return None
     if value != value:
@@ -179,13 +181,15 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
         if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
             near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
     number = float(near)
+    # For the server −0.0 is less than 0.0: take the zero that lets both pass.
     return encode_value(cql_type, number if number else (-0.0 if upwards else 0.0))
 
 
 def zone_ways(column: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
     """Return the terms on the zone columns for a block that may match a comparison.
 
-    The zone columns hold the minimum and the maximum of the block.
+    The zone columns hold the minimum and the maximum of the block. Operators and values as in
+    ways_of, but zones say nothing of CONTAINS.
     """
     if operator == "=":
         ways = [_zone_around(column, value, value) for value in values]
@@ -198,12 +202,16 @@ def zone_ways(column: ServerColumn, operator: str, values: Sequence[Comparable])
 
 
 def zone_span(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
-    """Return the terms on the zone columns for values between the minimum and maximum of some."""
+    """Return the terms on the zone columns for values between the minimum and maximum of some.
+
+    Values of another kind than the column, and NaN, match nothing and are left out.
+    """
     usable = [v for v in values if isinstance(v, str) == (column.cql_type == "text") and v == v]
     return _zone_around(column, min(usable), max(usable)) if usable else NEVER
 
 
 def _zone_around(column: ServerColumn, low: Comparable, high: Comparable) -> Ways:
+    """Return the terms for a block that may hold values from low to high, both included."""
     if low == high and column.cql_type != "text" and _exact(column, low) == []:
         return NEVER
     ways = [_zone_bound_ways(column, ">=", low), _zone_bound_ways(column, "<=", high)]
@@ -214,6 +222,7 @@ def _zone_around(column: ServerColumn, low: Comparable, high: Comparable) -> Way
 
 
 def _zone_bound_ways(column: ServerColumn, operator: str, value: Comparable) -> Ways:
+    """Return the term on the maximum (> >=) or minimum (< <=) of a block; see Ways."""
     upwards = operator in (">", ">=")
     end = replace(column, column=(HIGH if upwards else LOW) + column.column)
     if isinstance(value, str) != (column.cql_type == "text"):
@@ -222,7 +231,7 @@ def _zone_bound_ways(column: ServerColumn, operator: str, value: Comparable) -> 
         return _zone_text(end, operator, value)
     if column.cql_type != "boolean":
         return _bound_ways(end, operator, value)
-    # A block has a value above false, or below true, only if that bound is the other value.
+    # If only true satisfies > or >=, the maximum of a matching block is true; false and < likewise.
     byte = 1 if upwards else 0
     if not (_COMPARE[operator](1, value) or _COMPARE[operator](0, value)):
         return NEVER
@@ -232,6 +241,7 @@ def _zone_bound_ways(column: ServerColumn, operator: str, value: Comparable) -> 
 
 
 def _zone_text(end: ServerColumn, operator: str, value: str) -> Ways:
+    """Return the term on a bound of texts; None for a text that the server cannot compare."""
     try:
         raw = encode_value("text", value)
     except UnicodeEncodeError:
@@ -262,9 +272,8 @@ ZONES_SHARE = 0.5
 """Share of unpacked messages above which zones are no longer checked."""
 CROWDED_SHARE = 0.3
 """Share of matching rows above which a bucket is read once instead of by several queries."""
-Query = Tuple[Tuple[ServerTerm, ...], bool]
-"""Terms that the server checks, all of which must hold, and whether an index finds the rows."""
 _ODD: Query = ((("_odd", "=", b"\x01"),), False)
+"""The query of the rows with a field that no column holds exactly, so that no term finds them."""
 
 Watch = Callable[[], None]
 """Function that is called repeatedly during a read; an exception from it ends the read."""
@@ -274,17 +283,24 @@ def unwatched() -> None:
     """Do nothing; the default of ``watch``."""
 
 
-class _Bucket(Protocol):
-    """The directory's entry of one writer for a bucket; implemented by the store's BucketRow."""
+class _WriterEntry(Protocol):
+    """The directory's entry of one writer for a bucket; see the store's BucketRow."""
 
     @property
-    def rows(self) -> int: ...
+    def rows(self) -> int:
+        """Number of messages."""
+
     @property
-    def odd(self) -> int: ...
+    def odd(self) -> int:
+        """Number of messages that only _ODD finds."""
+
     @property
-    def closed(self) -> bool: ...
+    def closed(self) -> bool:
+        """Whether the numbers are final."""
+
     @property
-    def filled(self) -> frozenset[str]: ...
+    def filled(self) -> frozenset[str]:
+        """Columns with an index that have values in all its rows."""
 
 
 class ServerCheck(NamedTuple):
@@ -312,7 +328,8 @@ class Pushdown:
         expression: The bound condition; None is always true.
         plan: One of PLANS.
         watch: Called repeatedly, see Watch.
-        tables: The present tables of the topic, for which the filters of blocks are made now.
+        tables: The present tables of the topic, for which the filters of blocks are made now; for
+            others they are made when they are needed.
 
     Attributes:
         indexed: Number of buckets read by an index.
@@ -322,7 +339,7 @@ class Pushdown:
         blocks: Number of blocks read.
         unpacked: Number of messages in these blocks.
         kept: Number of these messages that became rows.
-        held: Number of messages in the packed buckets that were read, as the directory counts.
+        held: Number of messages in all packed buckets of the read, as the directory counts.
         used: Comparisons that the server checked, with the way: 'index', 'filter' or 'zones'.
     """
 
@@ -340,9 +357,10 @@ class Pushdown:
         self._watch = watch
         # By the table itself: two stores may have tables of one name, with other indexes.
         self._branches: dict[Table, list[Branch] | None] = {}
+        """See _branches."""
         self._sifts: dict[Table, Sift | None] = {}
-        # What earlier buckets of a table have taught, see ``learn``. The last three count with plan
-        # 'auto' only.
+        # What earlier buckets of a table have taught, see ``learn``. With another plan than 'auto'
+        # only ``_many`` counts.
         self._many: set[Table] = set()
         """Tables with so many hits that these are not fetched by key."""
         self._dense: set[Table] = set()
@@ -352,7 +370,9 @@ class Pushdown:
         self._idle: set[Table] = set()
         """Tables of which so many blocks were unpacked that no zones are checked."""
         self._opened: Counter[Table] = Counter()
+        """Number of messages in the blocks that were unpacked."""
         self._passed: Counter[Table] = Counter()
+        """Number of messages in the buckets given to ``learn``, as the directory counts."""
         self.indexed = self.filtered = self.whole = self.skipped = 0
         self.blocks = self.unpacked = self.kept = self.held = 0
         self.used: Used = {}
@@ -365,8 +385,11 @@ class Pushdown:
         """Whether there is a condition to check."""
         return self._expression is not None
 
-    def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Sequence[Query] | None:
-        """Return the queries whose rows include all matching rows; None = read all rows."""
+    def choose(self, table: Table, bucket: Sequence[_WriterEntry]) -> Sequence[Query] | None:
+        """Return the queries whose rows include all matching rows; None = read all rows.
+
+        Empty: no row can match. It is called once for each bucket of the read, before its rows.
+        """
         self._watch()
         queries = self._choose_queries(table, bucket)
         if table.packed:
@@ -385,19 +408,22 @@ class Pushdown:
         """Return whether only few rows were found so far."""
         return table not in self._many
 
-    def learn(self, table: Table, bucket: Sequence[_Bucket], hits: int) -> None:
-        """Record the rows found in a bucket; after many rows the next buckets are checked less."""
-        every = sum(row.rows for row in bucket)
+    def learn(self, table: Table, bucket: Sequence[_WriterEntry], hits: int) -> None:
+        """Record the rows found in a bucket; after many rows the next buckets are checked less.
+
+        It is called after the last row of a bucket for which ``choose`` returned queries.
+        """
+        total = sum(row.rows for row in bucket)
         if table.packed:
-            opened, passed = self._opened[table], self._passed[table] + every
+            opened, passed = self._opened[table], self._passed[table] + total
             self._passed[table] = passed
             if opened > DENSE_ROWS and opened > ZONES_SHARE * passed:
                 self._idle.add(table)
-        if hits > SPARSE_BUCKET_ROWS and hits > SPARSE_BUCKET_SHARE * every:
+        if hits > SPARSE_BUCKET_ROWS and hits > SPARSE_BUCKET_SHARE * total:
             self._many.add(table)
-        if hits > DENSE_ROWS and hits > DENSE_SHARE * every:
+        if hits > DENSE_ROWS and hits > DENSE_SHARE * total:
             self._dense.add(table)
-            if hits > CROWDED_SHARE * every:
+            if hits > CROWDED_SHARE * total:
                 self._crowded.add(table)
 
     def sift(self, table: Table) -> Sift | None:
@@ -418,7 +444,8 @@ class Pushdown:
         self.unpacked += messages
         self.kept += kept
 
-    def _choose_queries(self, table: Table, bucket: Sequence[_Bucket]) -> list[Query] | None:
+    def _choose_queries(self, table: Table, bucket: Sequence[_WriterEntry]) -> list[Query] | None:
+        """Return what ``choose`` returns, and record the comparisons in ``used``."""
         if self._plan == "client" or self._expression is None:
             return None
         if table not in self._branches:
@@ -429,19 +456,21 @@ class Pushdown:
         if self._plan == "auto" and table in self._idle:
             return None
         dense = self._plan == "auto" and table in self._dense
+        # An index must not hide a row, so all writers of the bucket must have filled its column.
         filled = frozenset.intersection(*(row.filled for row in bucket))
         if self._plan == "filter" or (dense and table.by_field):
             filled = frozenset()
         queries: list[Query] = []
         new_uses: Used = {}
         for branch in branches:
-            extra = self._queries(branch, filled, new_uses, "zones" if table.packed else "filter")
-            if extra is None or len(queries) + len(extra) > MAX_QUERIES:
+            more = self._queries(branch, filled, new_uses, "zones" if table.packed else "filter")
+            if more is None or len(queries) + len(more) > MAX_QUERIES:
                 return None
-            queries.extend(extra)
+            queries.extend(more)
         if self._plan == "auto" and len(queries) > 1 and table in self._crowded:
             return None
         self.used.update(new_uses)
+        # Of an open bucket the number of odd rows is not known yet.
         if any(row.odd or not row.closed for row in bucket):
             queries.append(_ODD)
         return queries
@@ -449,15 +478,21 @@ class Pushdown:
     def _queries(
         self, branch: Branch, filled: frozenset[str], uses: Used, way_without: str
     ) -> list[Query] | None:
-        """Return the queries of one branch; None if the server cannot check any part of it."""
+        """Return the queries of one branch; None if the server cannot check any part of it.
+
+        Empty: no row can match. What is checked is added to ``uses``, without an index as
+        ``way_without``.
+        """
         if any(NEVER in (check.filtered, check.indexed) for check in branch):
             return []
-        usable = [n for n in branch if n.indexed is not None and n.shadow in filled]
+        usable = [c for c in branch if c.indexed is not None and c.shadow in filled]
         # An index with an equality finds fewer rows than one with a range.
         shadow = min(usable, key=_is_range).shadow if usable else ""
         ways, count = [], 1
-        order = [(bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch]
-        for by_index, check in sorted(order, key=lambda pair: not pair[0]):
+        # The check by the index first: one that would make too many queries is left out.
+        by_indexes = [bool(shadow) and c.shadow == shadow and c.indexed is not None for c in branch]
+        pairs = sorted(zip(by_indexes, branch), key=lambda pair: not pair[0])
+        for by_index, check in pairs:
             way = check.indexed if by_index else check.filtered
             if way is not None and count * len(way) <= MAX_QUERIES:
                 count *= len(way)
@@ -469,11 +504,15 @@ class Pushdown:
 
 
 def _is_range(check: ServerCheck) -> bool:
+    """Return whether an index has to find a range of values."""
     return any(term[1] not in ("=", "CONTAINS") for way in check.indexed or () for term in way)
 
 
 def _compatible(terms: Sequence[ServerTerm]) -> tuple[ServerTerm, ...]:
-    """Remove terms that the server refuses in combination: second bounds, bounds with =."""
+    """Remove terms that the server refuses in combination: second bounds, bounds with =.
+
+    More rows may pass then, but none that matches is lost.
+    """
     equal = {column for column, operator, _ in terms if operator == "="}
     by_bound: dict[tuple[object, ...], ServerTerm] = {}
     for term in terms:
@@ -486,13 +525,16 @@ def _compatible(terms: Sequence[ServerTerm]) -> tuple[ServerTerm, ...]:
 
 
 def _branches(expression: Expression, table: Table) -> list[Branch] | None:
-    """Convert a condition to the form (a AND b …) OR …; parts that do not fit are dropped."""
+    """Convert a condition to the form (a AND b …) OR …; parts that do not fit are dropped.
+
+    None: the server cannot check any part of it.
+    """
     if isinstance(expression, Negation):
         return None
     if isinstance(expression, Either):
         branch_lists = [_branches(item, table) for item in expression.items]
-        every = [branch for branches in branch_lists for branch in branches or ()]
-        return None if None in branch_lists or len(every) > MAX_QUERIES else every
+        united = [branch for branches in branch_lists for branch in branches or ()]
+        return None if None in branch_lists or len(united) > MAX_QUERIES else united
     if isinstance(expression, All):
         return _join_branches([_branches(item, table) for item in expression.items])
     check = _check_of(expression, table)
@@ -500,6 +542,7 @@ def _branches(expression: Expression, table: Table) -> list[Branch] | None:
 
 
 def _join_branches(branch_lists: Sequence[list[Branch] | None]) -> list[Branch] | None:
+    """Return the branches of conditions joined by AND; lists that make too many are dropped."""
     factors = sorted((branches for branches in branch_lists if branches is not None), key=len)
     if not factors:
         return None
@@ -511,6 +554,7 @@ def _join_branches(branch_lists: Sequence[list[Branch] | None]) -> list[Branch] 
 
 
 def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
+    """Return how the server can check a leaf in a table."""
     if not isinstance(leaf, (Compare, OneOf)) or table.definition is None:
         return ServerCheck(leaf)
     if not isinstance(leaf.operand, FieldPath):
@@ -519,12 +563,13 @@ def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
     try:
         ref = field_of(leaf.operand, table.definition, wants_array(leaf))
     except StatementError:
-        return ServerCheck(
-            leaf, NEVER
-        )  # this definition lacks the field, and a missing value never matches
+        # This definition lacks the field, and a missing value never matches.
+        return ServerCheck(leaf, NEVER)
     values = list(fitting(leaf, ref))
-    if not values or ref.part:
-        return ServerCheck(leaf, None if values else NEVER)
+    if not values:
+        return ServerCheck(leaf, NEVER)
+    if ref.part:
+        return ServerCheck(leaf)
     if table.packed:
         return ServerCheck(leaf, _zone_ways(ref, table, operator, values))
     filtered = _ways(_column_of(ref, table), operator, values, FEW_VALUES)
@@ -538,6 +583,7 @@ def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
 def _ways(
     column: ServerColumn | None, operator: str, values: Sequence[Comparable], most: int
 ) -> Ways:
+    """Return the ways for a comparison; those for the range of the values if they are too many."""
     if column is None:
         return None
     ways = ways_of(column, operator, values)
