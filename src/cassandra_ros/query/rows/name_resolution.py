@@ -96,6 +96,7 @@ from cassandra_ros.query.tree.syntax import (
 RowValues = Sequence[Any]
 """Values of one message, or of one element of its unnested array; None = missing."""
 Check = Callable[[RowValues], Optional[bool]]
+"""Function from the values of a row to the truth of a condition; None = unknown."""
 
 
 _SWAPPED = {
@@ -110,7 +111,7 @@ _SWAPPED = {
 
 
 def compile_condition(expression: Expression | None, fields: NameResolver) -> Check:
-    """Return the function from values to the truth of a condition; None is always true."""
+    """Return the check of a condition; None is always true."""
     if expression is None:
         return lambda values: True
     if isinstance(expression, Negation):
@@ -126,17 +127,20 @@ def compile_condition(expression: Expression | None, fields: NameResolver) -> Ch
     if isinstance(expression, Quantified):
         return _quantifier_check(expression, fields.locate(expression), fields.compute(expression))
     if not isinstance(expression.operand, Call):
-        return _leaf(expression, fields.locate(expression), fields)
+        return _leaf_check(expression, fields.locate(expression), fields)
     (get,) = fields.compute(expression)
     if get is None:
-        return _leaf(expression, None, fields)
-    compute, check = get, _leaf(expression, 0, fields)
+        return _leaf_check(expression, None, fields)
+    # The computed value alone is checked, as if a row had no other value.
+    compute, check = get, _leaf_check(expression, 0, fields)
     return lambda values: check((compute(values),))
 
 
-def _leaf(leaf: Compare | OneOf | IsNull, place: int | None, fields: NameResolver) -> Check:
+def _leaf_check(leaf: Compare | OneOf | IsNull, place: int | None, fields: NameResolver) -> Check:
+    """Return the check of the value at index ``place``; None = the table lacks the operand."""
     if isinstance(leaf, IsNull):
         return (lambda values: True) if place is None else (lambda values: values[place] is None)
+    # Also without the operand: this records whether the constants fit.
     constants = [fields.fit(leaf, value) for value in given(leaf)]
     if place is None:
         return lambda values: None
@@ -146,6 +150,7 @@ def _leaf(leaf: Compare | OneOf | IsNull, place: int | None, fields: NameResolve
 
 
 def _stay_check(leaf: Timed, node: int, run: int, time: int) -> Check:
+    """Return the check of NEAR or EVENT from the indices of the three values that it needs."""
     if leaf.stays is None:  # the topic has no tables, and therefore no rows
         return lambda values: None
     holds = leaf.stays.holds
@@ -165,13 +170,18 @@ def _relation_check(sign: str, left: Get | None, right: Get | None) -> Check:
 
 
 def _quantifier_check(leaf: Quantified, place: int | None, gets: Sequence[Get | None]) -> Check:
-    """Return the check of ANY or ALL. For an empty array ANY is false and ALL true."""
+    """Return the check of ANY or ALL. For an empty array ANY is false and ALL true.
+
+    Args:
+        place: Index of the array among the values; None = the table lacks it.
+        gets: Function of each term that an element is compared with; None = it is missing.
+    """
     operands = [get for get in gets if get is not None]
     if place is None or len(operands) < len(gets):
         return lambda values: None
     signs = [sign for sign, _ in leaf.tests]
     quantify = all if leaf.every else any
-    fixed = None
+    fixed = None  # the test of an element, if it is the same for all rows
     if all(isinstance(term, Literal) for _, term in leaf.tests):
         fixed = _element_test(leaf, [_test(s, get(())) for s, get in zip(signs, operands)])
 
@@ -193,6 +203,7 @@ def _quantifier_check(leaf: Quantified, place: int | None, gets: Sequence[Get | 
 def _element_test(
     leaf: Quantified, tests: Sequence[Callable[[Any], bool]]
 ) -> Callable[[Any], bool]:
+    """Return the test of an element: all tests, or one (``either``), and then negated."""
     if len(tests) == 1 and not leaf.negated:
         return tests[0]
     join, negated = any if leaf.either else all, leaf.negated
@@ -200,6 +211,7 @@ def _element_test(
 
 
 def _test(sign: str, value: Any) -> Callable[[Any], bool]:
+    """Return the test whether ``x sign value`` is true of an x."""
     return like_test(value) if sign == "LIKE" else partial(_SWAPPED[sign], value)
 
 
@@ -213,9 +225,8 @@ def _membership(place: int, constants: Sequence[Comparable | None]) -> Check:
     """Return the check of IN: like ``=`` with each value, joined by OR."""
     # NaN is left out: it equals nothing, but a set would find it by identity.
     members = frozenset(value for value in constants if value is not None and value == value)
-    otherwise = (
-        None if None in constants else False
-    )  # a value of another kind makes the result unknown
+    # A constant of another kind makes the result unknown, unless another constant is equal.
+    otherwise = None if None in constants else False
 
     def check(values: RowValues) -> bool | None:
         value = values[place]
@@ -262,6 +273,7 @@ def _piece(text: str) -> Pattern[str]:
 
 
 def _holding(value: Comparable) -> Callable[[Any], bool]:
+    """Return the test of CONTAINS: whether an array has an element that equals the value."""
     if value != value:
         return lambda array: False
     # ``in`` accepts only ints from 0 to 255 for bytes.
@@ -300,30 +312,35 @@ def _join_checks(checks: list[Check], decisive: bool) -> Check:
 
 
 KEY_PLACE, NODE_PLACE, RUN_PLACE, TIME_PLACE = 0, 1, 2, 3
+"""Indices of these values among the values of a row."""
 OWN_WIDTH = 4
 """Number of values of a row that are not fields."""
 COUNT_KIND = "int64"
 """Kind of a count, which does not depend on the counted values."""
-_BESIDE = -1
+_REFUSED = -1
 """Largest mark of errors that a valid use in another table cannot excuse; marks go downwards."""
-_PAIR = 32
+_PAIR_BITS = 32
 """Number of bits by which the first position is shifted in the mark of a pair of compared terms. A
 pair needs a mark of its own, because BETWEEN compares a term twice, and each term may be valid
 alone."""
 
 
 class Findings:
-    """Errors in some tables, and positions that are valid in another table."""
+    """Errors in some tables, and what is valid in another table, by marks.
+
+    The mark of a term or a literal is its position in the statement; see also _REFUSED, _PAIR_BITS.
+    """
 
     def __init__(self, text: str) -> None:
         self._text = text
         self.wrong: dict[int, StatementError] = {}
+        """The first error of each mark."""
         self.valid: set[int] = set()
 
     def check(self) -> None:
-        """Raise InvalidQuery for the first position that is an error in all tables."""
-        for position, problem in sorted(self.wrong.items()):
-            if position not in self.valid:
+        """Raise InvalidQuery for the first error that is not valid in another table."""
+        for mark, problem in sorted(self.wrong.items()):
+            if mark not in self.valid:
                 raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
@@ -342,7 +359,10 @@ class ResultColumn(NamedTuple):
 
 
 class NameResolver:
-    """Resolves the names of a statement in one table."""
+    """Resolves the names of a statement in one table.
+
+    An error is recorded in ``findings``, not raised: what is missing here may be in another table.
+    """
 
     def __init__(self, table: Table, findings: Findings) -> None:
         self._definition = table.definition
@@ -351,15 +371,18 @@ class NameResolver:
         self.refs: list[FieldRef] = []
         """Fields found so far, in the order of their values."""
         self._places: dict[FieldRef, int] = {}
+        """Index of each field's value among the values of a row."""
         self._used: set[int] = set()
+        """Indices of the values that the condition needs, see ``condition``."""
         self._counted: list[tuple[FieldPath, Array]] = []
+        """Arrays of messages of which len is taken, with their paths in the statement."""
         self.unnested: list[Array] = []
         """Arrays of messages whose elements are named, outermost first."""
         self.runs = False
         """Whether RUN is needed."""
 
     def outputs(self, selected: Selected | None) -> Sequence[ResultColumn]:
-        """Return the columns of one selected path; None = every field."""
+        """Return the columns of one selected path (None = every field) that the table has."""
         if selected is None:
             return self._outputs_of(
                 () if self._definition is None else all_fields(self._definition)
@@ -380,7 +403,7 @@ class NameResolver:
         return [output._replace(name=selected.alias) for output in columns[:1]]
 
     def single(self, selected: Selected) -> Sequence[ResultColumn]:
-        """Return the column of a term by which rows are grouped or ordered."""
+        """Return the column of a term of GROUP BY or ORDER BY; [] = the table lacks it."""
         what = selected.what
         if isinstance(what, Aggregate):
             raise AssertionError("aggregates are ordered by the columns that show them")
@@ -391,6 +414,10 @@ class NameResolver:
         return [ResultColumn(ref.name, self._place(ref), ref.type, ref) for ref in refs]
 
     def _aggregate(self, aggregate: Aggregate, name: str) -> Sequence[ResultColumn]:
+        """Return the column of the values that are aggregated; [] = the table lacks them.
+
+        Its kind is that of the aggregate.
+        """
         operand, function = aggregate.operand, aggregate.function
         column = self._output(operand or KeyOperand(0))
         if column is None:
@@ -453,6 +480,7 @@ class NameResolver:
                     self._compile(argument)
 
     def _find(self, operand: Operand, array: bool | None) -> OperandPlace | None:
+        """Find an operand, see OperandFinder; errors are recorded."""
         if array is None and isinstance(operand, FieldPath):
             return self._find_counted(operand)
         column = self._output(operand, array)
@@ -477,7 +505,7 @@ class NameResolver:
         return OperandPlace(ref.type, self._place(ref), True)
 
     def check_lengths(self) -> None:
-        """Refuse len() of an array that is unnested."""
+        """Refuse len() of an array that is unnested; to be called when all names are resolved."""
         for path, array in self._counted:
             if array in self.unnested:
                 reason = f"names fields inside of {path.text}, so that each element is a row; "
@@ -504,7 +532,10 @@ class NameResolver:
         return NODE_PLACE, RUN_PLACE, TIME_PLACE
 
     def compute(self, leaf: Comparison) -> Sequence[Get | None]:
-        """Return the functions of a comparison's terms, except of an array; None: missing."""
+        """Return the functions of a comparison's terms, each None if it is missing.
+
+        Of Quantified one for each of its tests, of Relate both, of others that of the operand.
+        """
         if isinstance(leaf, Quantified):
             return self._tests(leaf)
         first = self._compile(leaf.operand)
@@ -519,6 +550,7 @@ class NameResolver:
         return [first.get, other.get]
 
     def _tests(self, leaf: Quantified) -> Sequence[Get | None]:
+        """Return the function of each term that an element of the array is compared with."""
         array = self._output(leaf.operand, array=True)
         return [self._comparison_value(leaf, array, sign, term) for sign, term in leaf.tests]
 
@@ -540,7 +572,7 @@ class NameResolver:
 
     def _are_alike(self, left: Term, kind: str, right: Term, other: str, position: int) -> bool:
         """Return whether values of two kinds can be compared; record an error if not."""
-        mark = (left.position + 1) << _PAIR | right.position
+        mark = (left.position + 1) << _PAIR_BITS | right.position
         if family(kind) == family(other):
             self._findings.valid.add(mark)
             return True
@@ -580,6 +612,7 @@ class NameResolver:
     def _resolve(
         self, path: FieldPath, resolve: Callable[[Definition], Sequence[FieldRef]]
     ) -> Sequence[FieldRef]:
+        """Return the fields that ``resolve`` gives for a path, or () and record the error."""
         try:
             if self._definition is None:
                 raise StatementError(path.position, "the messages of this topic have no definition")
@@ -601,6 +634,7 @@ class NameResolver:
                     self._place(ref)  # its values give the number of elements
 
     def _unnest(self, path: FieldPath, array: Array) -> None:
+        """Add an array to the unnested ones, if it lies inside the innermost of them."""
         inner = self.unnested[-1] if self.unnested else ()
         if array[: len(inner)] == inner:
             self.unnested.append(array)
@@ -615,10 +649,11 @@ class NameResolver:
     def _refuse(self, path: FieldPath, reason: str) -> None:
         """Record an error: the field exists, but the path is not allowed at this place."""
         self._findings.wrong.setdefault(
-            _BESIDE - path.position, StatementError(path.position, reason)
+            _REFUSED - path.position, StatementError(path.position, reason)
         )
 
     def _place(self, ref: FieldRef) -> int:
+        """Return the index of a field's value; a new field gets the next one."""
         place = self._places.get(ref)
         if place is None:
             place = self._places[ref] = OWN_WIDTH + len(self.refs)
@@ -627,6 +662,7 @@ class NameResolver:
 
 
 def _fit(column: ResultColumn, leaf: Comparison, literal: Literal) -> Comparable:
+    """Return a literal for comparison with a column; StatementError: they cannot be compared."""
     operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
     if sign == "CONTAINS" and column.ref is None:
         reason = f"{operand.text} is not an array; compare it with ="

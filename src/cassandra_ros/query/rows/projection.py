@@ -56,7 +56,7 @@ FieldValueList = List[Any]
 
 
 class ColumnField(NamedTuple):
-    """A field that is a column of format ``ros``, or part of one."""
+    """A field that is in a column of format ``ros``: the whole value, or a part of it."""
 
     place: int
     """Index of the column among ``Extractor.columns``."""
@@ -71,7 +71,8 @@ class ColumnField(NamedTuple):
 class Extractor:
     """Reads the values of some fields of one message type from stored messages.
 
-    Each unnested array of messages lies inside the previous one.
+    Each unnested array of messages lies inside the previous one. It gives a level of unnesting:
+    level 0 is the message, level 1 an element of the first array.
 
     Attributes:
         columns: Columns of format ``ros`` that hold the fields, in order; None if a field has no
@@ -84,15 +85,16 @@ class Extractor:
         self._plan = wire_plan(definition)
         self._depth = len(unnested)
         column_names = {column.name for column in self._plan.all_columns}
-        step_counts = [_held_steps(ref, column_names) for ref in refs]
+        step_counts = [_steps_to_column(ref, column_names) for ref in refs]
         names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, step_counts) if n]
-        self._given = [n > 0 for n in step_counts]
+        self._has_column = [n > 0 for n in step_counts]
+        """For each field whether a column (or a blob that is one) holds it."""
         gets = [
             _gets(ref, n, unnested) if n else _empty_gets(definition, ref, unnested)
             for ref, n in zip(refs, step_counts)
         ]
         levels = range(self._depth + 1)
-        self._steps = [
+        self._conversions = [
             [(n, g[at]) for n, g in enumerate(gets) if at < len(g) and g[at] is not _itself]
             for at in levels
         ]
@@ -103,8 +105,10 @@ class Extractor:
         self._read = self._plan.reader(names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
         self._stored = [numbers[name] for name in names if name in numbers]
+        """For each field with a column its index among all columns of the table."""
         indices = sorted(set(self._stored))
         self._projected = [indices.index(n) for n in self._stored]
+        """The same among ``columns``."""
         self.columns: list[str] | None = None
         if len(self._stored) == len(names):
             self.columns = [self._plan.columns[n].name for n in indices]
@@ -113,7 +117,7 @@ class Extractor:
     @cached_property
     def direct(self) -> list[ColumnField] | None:
         """How each field is read from its column; None if that is impossible."""
-        if self.columns is None or self._depth or not all(self._given):
+        if self.columns is None or self._depth or not all(self._has_column):
             return None
         triples = zip(self._projected, self._stored, self._gets)
         return [self._direct(place, stored, get) for place, stored, get in triples]
@@ -124,15 +128,15 @@ class Extractor:
 
         The function raises CorruptMessage.
         """
-        if self._depth or not all(self._given):
+        if self._depth or not all(self._has_column):
             return None
-        read, steps = self._read, self._steps[0]
-        if not steps:
+        read, conversions = self._read, self._conversions[0]
+        if not conversions:
             return read
 
         def values(wire: bytes) -> FieldValueList:
             fields = read(wire)
-            for n, get in steps:
+            for n, get in conversions:
                 fields[n] = get(fields[n])
             return fields
 
@@ -149,20 +153,22 @@ class Extractor:
     def values(self, row: Row) -> Iterator[FieldValueList]:
         """Yield the values of a row, once or per unnested element.
 
-        CorruptMessage: malformed row.
+        CorruptMessage: malformed row. It is raised by the call, not by the iterator.
         """
         return self._every(self._columns(row))
 
     def wire_values(self, wire: bytes) -> Iterator[FieldValueList]:
         """Yield the values of a serialised message, once or per unnested element.
 
-        CorruptMessage: malformed message.
+        CorruptMessage: malformed message; raised as by ``values``.
         """
         return self._every(self._read(wire))
 
     def _every(self, column_values: FieldValueList) -> Iterator[FieldValueList]:
         columns = iter(column_values)
-        return self._unnest(0, [next(columns) if has_column else [] for has_column in self._given])
+        # A field without a column lies in an array without elements.
+        values = [next(columns) if has_column else [] for has_column in self._has_column]
+        return self._unnest(0, values)
 
     def _columns(self, row: Row) -> FieldValueList:
         """Return the values of the columns, from the row's columns if they are set."""
@@ -176,7 +182,7 @@ class Extractor:
         return self._read(row.wire)
 
     def _unnest(self, level: int, values: FieldValueList) -> Iterator[FieldValueList]:
-        for n, get in self._steps[level]:
+        for n, get in self._conversions[level]:
             values[n] = get(values[n])
         if level == self._depth:
             yield values
@@ -197,14 +203,14 @@ def _count(values: object) -> int:
     return len(values) if isinstance(values, (list, bytes)) else 0
 
 
-def _held_steps(ref: FieldRef, column_names: Container[str]) -> int:
+def _steps_to_column(ref: FieldRef, column_names: Container[str]) -> int:
     """Return the number of steps to the column with a field: its own, or a blob that contains it.
 
     0: there is no such column, because the field is inside an array of fixed length 0.
     """
     names = [step.name for step in ref.steps]
-    every = range(1, len(names) + 1)
-    return next((n for n in every if ".".join(names[:n]) in column_names), 0)
+    counts = range(1, len(names) + 1)
+    return next((n for n in counts if ".".join(names[:n]) in column_names), 0)
 
 
 def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
@@ -223,10 +229,12 @@ def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]
 def _gets(ref: FieldRef, step_count: int, unnested: Sequence[Array]) -> list[Get]:
     """Return the functions from a column's value to the field's, one per level of unnesting.
 
-    The first ``step_count`` steps lead to the column; the other steps lead into a blob.
+    The first ``step_count`` steps lead to the column; the other steps lead into a blob. The first
+    function gives the value of level 0: for an unnested array a list, of whose elements the next
+    function gives the value of level 1, and so on.
     """
     gets: list[Get] = []
-    get = _last(ref)
+    get = _element_or_part(ref)
     for n, step in reversed(list(enumerate(ref.steps))):
         if step.many and ref.steps[: n + 1] in unnested:
             gets.append(get)
@@ -239,6 +247,7 @@ def _gets(ref: FieldRef, step_count: int, unnested: Sequence[Array]) -> list[Get
 
 
 def _inside(name: str, then: Get) -> Get:
+    """Return the function from a message, as a dict, to what ``then`` makes of its field."""
     return lambda value: None if value is None else then(value[name])
 
 
@@ -260,7 +269,8 @@ def _at(index: int, then: Get) -> Get:
     return get
 
 
-def _last(ref: FieldRef) -> Get:
+def _element_or_part(ref: FieldRef) -> Get:
+    """Return the function from a field to what a path names of it: an element, secs, nsecs."""
     get = _PARTS[ref.part]
     return get if ref.index is None else _at(ref.index, get)
 
@@ -281,7 +291,7 @@ _log = logging.getLogger(__name__)
 ResultRow = Tuple[Any, ...]
 """One value for each column of the result."""
 RowIdentity = Tuple[Union[int, str], str, str, int]
-"""KEY, NODE and RUN of a row, and its time, ns."""
+"""KEY, NODE and RUN of a row ('' if RUN is not needed), and its time, ns."""
 _RawColumns = Sequence[Optional[bytes]]
 """Encoded columns of a row."""
 _ResultRows = List[ResultRow]
@@ -326,11 +336,12 @@ class Projection:
     """For each column of the result the index of its value (None: missing in this table), and the
     conversion for display."""
     checked: frozenset[int] = frozenset()
-    """Indices of the values that the condition needs."""
+    """Indices of the values that the condition needs; only in format ``ros``."""
     stored: int = 0
-    """Number of columns of the table."""
+    """Number of columns of the table in format ``ros``; 0 in another format."""
     computed: tuple[Get, ...] = ()
-    """Functions of the computed values, which follow the others."""
+    """Functions of the computed values, which follow the others. They get the values of a row
+    without computed ones."""
 
     @classmethod
     def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
@@ -382,13 +393,14 @@ class Projection:
         if direct is None or self.columns is None:
             return None
         places = range(OWN_WIDTH, OWN_WIDTH + len(direct))
-        spots = {
+        # The number of columns of a row tells whether it has all columns or those that are read.
+        column_indices = {
             len(self.columns): [field.place for field in direct],
             self.stored: [field.stored for field in direct],
         }
         layouts = {
             count: _fills(list(zip(places, indices, direct)), self.checked)
-            for count, indices in spots.items()
+            for count, indices in column_indices.items()
         }
         show = _compile_show(self.shown, self.computed)
         return _compile_rows(layouts, self.own, self.check, len(direct), show)
@@ -399,7 +411,10 @@ class Projection:
         return (row.name if self.named else t, row.node, row.run if self.runs else "", t)
 
     def values(self, row: Row) -> Iterator[RowValues]:
-        """Yield the values of a row, once or for each unnested element; None = missing."""
+        """Yield the values of a row, once or for each unnested element; None = missing.
+
+        Nothing for a message that is gone; of one that cannot be read all fields are missing.
+        """
         try:
             identity = self.own(row)
         except MessageNotFound:
@@ -453,6 +468,7 @@ class Projection:
         return [*values, *[get(values) for get in self.computed]] if self.computed else values
 
     def _row(self, row: Row, values: RowValues) -> ResultRow:
+        """Return the row of the result; ``_compile_show`` does the same for ``compiled``."""
         values = self.complete(values)
         cells: list[object] = []
         cache: dict[int, object] = {}
@@ -496,17 +512,17 @@ class Projections:
                 for names, selected in zip(all_names, select.asked)
             ]
         # By the table itself: two stores may have tables of one name, with other columns.
-        self._made = {table: p.showing(self.names) for table, p in projections.items()}
+        self._by_table = {table: p.showing(self.names) for table, p in projections.items()}
 
     def __iter__(self) -> Iterator[Projection]:
-        return iter(self._made.values())
+        return iter(self._by_table.values())
 
     def of(self, table: Table) -> Projection:
         """Return the projection of a table, with the columns ``names`` whatever fields it has."""
-        if table not in self._made:  # the table was added later
+        if table not in self._by_table:  # the table was added later
             projection = Projection.compile(self._select, table, Findings(self._select.text))
-            self._made[table] = projection.showing(self.names)
-        return self._made[table]
+            self._by_table[table] = projection.showing(self.names)
+        return self._by_table[table]
 
     def columns(self, table: Table) -> Sequence[str] | None:
         """Return the columns of a table that are read, in order; None = all."""
@@ -520,7 +536,7 @@ class Projections:
 def _place_computed(
     groups: Sequence[Sequence[ResultColumn]], width: int
 ) -> tuple[tuple[tuple[ResultColumn, ...], ...], tuple[Get, ...]]:
-    """Assign indices after the other values to the computed values."""
+    """Assign indices from ``width`` on to the computed values; return also their functions."""
     computed: list[Get] = []
     out_groups: list[tuple[ResultColumn, ...]] = []
     for group in groups:
@@ -535,6 +551,8 @@ def _place_computed(
 
 
 def _show_with(make: Get) -> Get:
+    """Return the conversion of a value, and of the values in lists; a missing one stays None."""
+
     def show(value: object) -> object:
         if isinstance(value, list):
             return [show(element) for element in value]
@@ -547,7 +565,7 @@ def _time(ns: int) -> Stamp | int:
     try:
         return Stamp.from_ns(ns)
     except InvalidKey:
-        return ns  # outside ROS time: computed, or nsecs over a second at its end
+        return ns  # outside ROS time: it was computed, or nsecs over a second go beyond its end
 
 
 def _duration(ns: int) -> object:
@@ -600,7 +618,8 @@ def _compile_rows(
     """Compile the function for a table with a column for each field.
 
     Args:
-        layouts: Number of columns of a row -> what sets its checked fields, and its other fields.
+        layouts: For each number of columns that a row may have what sets the fields that the
+            condition needs, and what sets the others.
         fields: Number of fields, whose values follow those of ``identify``.
     """
     blank = [None] * fields
@@ -625,21 +644,21 @@ def _compile_rows(
     return rows
 
 
-def _fills(parts: Sequence[_FieldPlace], checked: Container[int]) -> tuple[_Fill, _Fill]:
+def _fills(fields: Sequence[_FieldPlace], checked: Container[int]) -> tuple[_Fill, _Fill]:
     """Return the functions that set the checked fields, and the other fields.
 
     If one number is checked, all numbers are read: together they cost hardly more than one.
     """
-    number = any(place in checked and direct.code for place, _, direct in parts)
-    first = [p for p in parts if p[0] in checked or (number and p[2].code)]
-    return _compile_fill(first), _compile_fill([p for p in parts if p not in first])
+    number = any(place in checked and direct.code for place, _, direct in fields)
+    first = [f for f in fields if f[0] in checked or (number and f[2].code)]
+    return _compile_fill(first), _compile_fill([f for f in fields if f not in first])
 
 
-def _compile_fill(parts: Sequence[_FieldPlace]) -> _Fill:
-    numbers = [p for p in parts if p[2].code]
+def _compile_fill(fields: Sequence[_FieldPlace]) -> _Fill:
+    numbers = [f for f in fields if f[2].code]
     if len(numbers) < 2:  # itemgetter returns a tuple only for two and more
         numbers = []
-    others = [(place, at, d.decode) for place, at, d in parts if not (d.code and numbers)]
+    others = [(place, at, d.decode) for place, at, d in fields if not (d.code and numbers)]
     fills = [_others(others)] if others else []
     fills += [_numbers(numbers)] if numbers else []
     if not fills:
@@ -649,9 +668,11 @@ def _compile_fill(parts: Sequence[_FieldPlace]) -> _Fill:
     return lambda columns, values: fills[0](columns, values) and fills[1](columns, values)
 
 
-def _others(parts: Sequence[tuple[int, int, Get]]) -> _Fill:
+def _others(fields: Sequence[tuple[int, int, Get]]) -> _Fill:
+    """Return what sets fields one by one: index of the value, index of the column, decoder."""
+
     def fill(columns: _RawColumns, values: list[Any]) -> bool:
-        for place, at, decode in parts:
+        for place, at, decode in fields:
             raw = columns[at]
             if raw is None:
                 return False
@@ -661,10 +682,11 @@ def _others(parts: Sequence[tuple[int, int, Get]]) -> _Fill:
     return fill
 
 
-def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
-    pick = itemgetter(*(at for _, at, _ in parts))
-    unpack = struct.Struct(">" + "".join(d.code for _, _, d in parts)).unpack
-    places = [place for place, _, _ in parts]
+def _numbers(fields: Sequence[_FieldPlace]) -> _Fill:
+    """Return what sets two or more numbers of fixed size by one struct."""
+    pick = itemgetter(*(at for _, at, _ in fields))
+    unpack = struct.Struct(">" + "".join(d.code for _, _, d in fields)).unpack
+    places = [place for place, _, _ in fields]
     first, end = places[0], places[-1] + 1
     together = places == list(range(first, end))
 
@@ -700,7 +722,7 @@ def _compile_show(columns: _ShownColumns, computed: Sequence[Get] = ()) -> _Show
                 copies.append((n, first))
     # The row's key is appended to the values.
     places = [-1 if n in keys else place for n, (place, _) in enumerate(columns)]
-    if None in places or len(places) < 2:
+    if None in places or len(places) < 2:  # itemgetter gives no None, and no tuple of one
         pick = _picker(places)
     else:
         pick = itemgetter(*places)
@@ -721,4 +743,5 @@ def _compile_show(columns: _ShownColumns, computed: Sequence[Get] = ()) -> _Show
 
 
 def _picker(places: Sequence[int | None]) -> Callable[[list[Any]], tuple[Any, ...]]:
+    """Return the function that picks the values at some indices, None for a missing one."""
     return lambda values: tuple([None if place is None else values[place] for place in places])

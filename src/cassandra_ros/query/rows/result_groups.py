@@ -45,20 +45,20 @@ What = Union[Term, Aggregate]
 
 
 def analyse_select(select: Select, tables: Sequence[Table]) -> Select:
-    """Return the analysed statement, with its ``hidden`` columns.
+    """Return the analysed statement, with its ``hidden`` columns and ``Ordering.place``.
 
     Analysing it again changes nothing.
 
     Raises:
-        InvalidQuery: A shown or key column has more than one value in a group.
+        InvalidQuery: A column has more than one value in a group; or a term of GROUP BY or ORDER BY
+            is the same in every row, or cannot order these rows.
     """
     if select.hidden or not (select.aggregates or select.group or select.order):
         return select
-    splitter = _AggregateSplitter(tables)
     columns = select.columns
     if columns is not None:
-        columns = tuple(replace(c, what=splitter.of(c.what)) for c in columns)
-    order = tuple(replace(o, what=splitter.of(o.what)) for o in select.order)
+        columns = tuple(replace(c, what=_in_each_row(c.what, tables)) for c in columns)
+    order = tuple(replace(o, what=_in_each_row(o.what, tables)) for o in select.order)
     try:
         select = replace(select, columns=columns, order=order)
         select = _with_groups(select) if select.group else select
@@ -68,18 +68,13 @@ def analyse_select(select: Select, tables: Sequence[Table]) -> Select:
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
 
 
-class _AggregateSplitter:
-    """Distinguishes aggregates of one array from aggregates of all rows."""
-
-    def __init__(self, tables: Sequence[Table]) -> None:
-        self._tables = tables
-
-    def of(self, what: What) -> What:
-        if isinstance(what, Aggregate) and what.function != "count":
-            operand = what.operand
-            if isinstance(operand, FieldPath) and any(_is_array(operand, t) for t in self._tables):
-                return Call(what.function, (operand,), what.position)
-        return what
+def _in_each_row(what: What, tables: Sequence[Table]) -> What:
+    """Return an aggregate of one array as a Call, which has a value in each row; else ``what``."""
+    if isinstance(what, Aggregate) and what.function != "count":
+        operand = what.operand
+        if isinstance(operand, FieldPath) and any(_is_array(operand, t) for t in tables):
+            return Call(what.function, (operand,), what.position)
+    return what
 
 
 def _is_array(path: FieldPath, table: Table) -> bool:
@@ -90,13 +85,13 @@ def _is_array(path: FieldPath, table: Table) -> bool:
 
 
 def _with_groups(select: Select) -> Select:
-    """Add the GROUP BY terms to the hidden columns."""
+    """Put terms in place of aliases in GROUP BY, and add these terms to the hidden columns."""
     columns = select.columns or ()
     aliases = {c.alias: c.what for c in columns if c.alias and not isinstance(c.what, Aggregate)}
     terms = []
     for term in select.group:
-        named = aliases.get(term.text) if isinstance(term, FieldPath) else None
-        group_term = term if named is None or isinstance(named, Aggregate) else named
+        aliased = aliases.get(term.text) if isinstance(term, FieldPath) else None
+        group_term = term if aliased is None or isinstance(aliased, Aggregate) else aliased
         if is_constant(group_term):
             raise StatementError(term.position, f"{term.text} is the same in every row")
         terms.append(group_term)
@@ -116,10 +111,10 @@ def _check_columns(select: Select) -> None:
         if isinstance(what, Aggregate) or what.text in texts:
             continue
         if not select.group:
-            one = select.aggregates[0]
+            aggregate = select.aggregates[0]
             reason = "is one value made of all rows: it stands alone or beside other aggregates, "
             reason += f"not beside {what.text}, unless GROUP BY names that"
-            raise StatementError(one.position, f"{one.text} {reason}")
+            raise StatementError(aggregate.position, f"{aggregate.text} {reason}")
         reason = f"{what.text} is not a term of GROUP BY; add it there, or "
         raise StatementError(what.position, f"{reason}take one value of it, as max({what.text})")
 
@@ -127,14 +122,13 @@ def _check_columns(select: Select) -> None:
 def _with_order(select: Select) -> Select:
     """Set the column of each ORDER BY item, a hidden one if it is not shown."""
     order, hidden = [], list(select.hidden)
-    every = len(select.visible)
-    limited = bool(select.group or select.aggregates or select.distinct)
+    only_shown = _orders_by_shown(select)
     for key in select.order:
-        place = _place(select, key.what)
+        place = _column_index(select, key.what)
         if not isinstance(key.what, Aggregate) and is_constant(key.what):
             raise StatementError(key.position, f"{key.what.text} is the same in every row")
         if place is None:
-            if limited:
+            if only_shown:
                 how = "DISTINCT" if select.distinct else "aggregates"
                 reason = f"with {how} rows are ordered by a column that is shown; select it, too"
                 raise StatementError(key.position, f"{key.what.text} is not selected: {reason}")
@@ -142,21 +136,28 @@ def _with_order(select: Select) -> Select:
                 reason = "is one value made of all rows and cannot order them; with GROUP BY it is "
                 reason += "one value of each group, by which groups are ordered if it is selected"
                 raise StatementError(key.position, f"{key.what.text} {reason}")
-            place = every + len(hidden)
+            place = len(select.visible) + len(hidden)
             hidden.append(Selected(key.what))
         order.append(Ordering(key.what, key.descending, key.position, place))
     return replace(select, order=tuple(order), hidden=tuple(hidden))
 
 
-def _place(select: Select, what: What) -> int | None:
-    """Return the index of a term among all columns, hidden ones included, or None."""
-    limited = bool(select.group or select.aggregates or select.distinct)
-    for place, selected in enumerate(select.asked):
+def _orders_by_shown(select: Select) -> bool:
+    """Return whether only a shown column, or a term of GROUP BY, can order the rows."""
+    return bool(select.group or select.aggregates or select.distinct)
+
+
+def _column_index(select: Select, what: What) -> int | None:
+    """Return the index of a term among all columns, hidden ones included.
+
+    None: there is no such column; where any term can order the rows, only aliases are looked up.
+    """
+    for index, selected in enumerate(select.asked):
         if selected is None:
             continue
-        called = selected.alias is not None and selected.alias == what.text
-        if called or (limited and selected.what.text == what.text):
-            return place
+        is_alias = selected.alias is not None and selected.alias == what.text
+        if is_alias or (_orders_by_shown(select) and selected.what.text == what.text):
+            return index
     return None
 
 
@@ -172,7 +173,10 @@ class Aggregation:
         ]
 
     def add(self, rows: Iterable[ResultRow]) -> None:
-        """Add rows; InvalidQuery: the values of a field cannot be compared with each other."""
+        """Add rows with all columns, from which missing values are left out.
+
+        InvalidQuery: the values of a field cannot be compared with each other.
+        """
         for row in rows:
             for total, what, value in zip(self._totals, self._asked, row):
                 try:
@@ -219,7 +223,7 @@ def make_groups(
 
     Args:
         select: The analysed statement.
-        names: Column names of each selected path.
+        names: Column names of each selected path, hidden ones included.
         rows: Rows with all columns.
         most: Maximum number of rows that are taken; None = all.
 
@@ -243,7 +247,12 @@ def make_groups(
 
 
 class _Memory:
-    """The memory of the kept rows, with its limit."""
+    """The memory of the kept rows, with its limit.
+
+    Args:
+        position: Position in the statement that an error shows.
+        remedy: What to do instead, as the end of the error text.
+    """
 
     def __init__(self, select: Select, position: int, remedy: str) -> None:
         self._text, self._position, self._remedy = select.text, position, remedy
@@ -266,6 +275,7 @@ class _Memory:
 
 
 def _size(row: ResultRow) -> int:
+    """Return the approximate memory of a row, bytes; 32 for each element of a list."""
     size = getsizeof(row)
     for value in row:
         size += getsizeof(value) + (32 * len(value) if isinstance(value, list) else 0)
@@ -279,19 +289,21 @@ def _total(select: Select, rows: Iterable[ResultRow]) -> Iterator[ResultRow]:
 
 
 def _group(select: Select, rows: Iterable[ResultRow], width: int) -> Iterator[ResultRow]:
-    """Yield a row for each group, with the values of GROUP BY after its columns."""
+    """Yield a row for each group, with the values of GROUP BY after its columns.
+
+    ``width``: Number of columns that are shown; those of GROUP BY follow in ``rows`` too.
+    """
     remedy = "group by less, or by time(1h), or choose fewer rows by WHERE KEY > …"
     memory = _Memory(select, select.group[0].position, remedy)
-    widths = slice(width, width + len(select.group))
+    group_columns = slice(width, width + len(select.group))
     times = [n for n, t in enumerate(select.group) if isinstance(t, Call) and t.function == "time"]
     groups: dict[tuple[Any, ...], tuple[Aggregation, ResultRow]] = {}
     latest: Any = None
     for row in rows:
-        by = row[widths]
+        by = row[group_columns]
         key = tuple(map(_identity, by))
-        if (
-            times and groups and key[times[0]] != latest
-        ):  # rows are sorted by KEY, so these groups are complete
+        # Rows are sorted by KEY, so the groups of another time are complete.
+        if times and groups and key[times[0]] != latest:
             yield from _finish(groups)
             groups.clear()
             memory.clear()
@@ -340,45 +352,49 @@ def _check_single(select: Select, names: Sequence[Sequence[str]]) -> None:
             raise InvalidQuery(select.text, key.position, reason)
 
 
-Key = Tuple[Any, ...]
+_SortKey = Tuple[Any, ...]
 
 
 def _order(
     select: Select, rows: Iterable[ResultRow], places: Sequence[int], most: int | None
 ) -> Iterator[ResultRow]:
+    """Yield rows sorted by the columns at ``places``, one for each item of ORDER BY."""
     remedy = "choose fewer rows by WHERE KEY > …, select fewer columns, or add a LIMIT"
     memory = _Memory(select, select.order[0].position, remedy)
     key = _key_of(select.order, places)
     enough = None if most is None else max(2 * most, LEAST_KEPT)
-    buffer: list[tuple[Key, ResultRow]] = []
+    buffer: list[tuple[_SortKey, ResultRow]] = []
     try:
         for row in rows:
             buffer.append((key(row), row))
             if enough is not None and len(buffer) > enough:
-                buffer = _first(buffer, most)
+                buffer = _first_sorted(buffer, most)
                 memory.clear()
                 for _, other in buffer:
                     memory.count_row(other)
             else:
                 memory.count_row(row)
-        pairs = _first(buffer, most)
+        pairs = _first_sorted(buffer, most)
     except TypeError as exc:
         reason = f"the definitions of this topic hold values of different kinds there ({exc})"
         raise InvalidQuery(select.text, select.order[0].position, reason) from None
     yield from (row for _, row in pairs)
 
 
-def _first(pairs: list[tuple[Key, ResultRow]], most: int | None) -> list[tuple[Key, ResultRow]]:
+def _first_sorted(
+    pairs: list[tuple[_SortKey, ResultRow]], most: int | None
+) -> list[tuple[_SortKey, ResultRow]]:
     pairs.sort(key=lambda pair: pair[0])  # stable: equal rows keep their order
     return pairs[:most]
 
 
-def _key_of(order: Sequence[Ordering], places: Sequence[int]) -> Callable[[ResultRow], Key]:
+def _key_of(order: Sequence[Ordering], places: Sequence[int]) -> Callable[[ResultRow], _SortKey]:
     pairs = [(place, key.descending) for place, key in zip(places, order)]
     return lambda row: tuple([_rank(row[place], down) for place, down in pairs])
 
 
 def _rank(value: Any, descending: bool) -> tuple[int, Any]:
+    """Return the sort key of a value: NaN, and then missing, comes last in both directions."""
     if value is None or value != value:
         return (2 if value is None else 1), 0
     value = _identity(value)
