@@ -43,10 +43,11 @@ def nearest_places(keys: AnyArray, times: AnyArray, within_ns: int) -> AnyArray:
 
 
 def _near(keys: AnyArray, times: AnyArray, places: AnyArray, within_ns: int) -> AnyArray:
+    """Return places with -1 in place of messages farther than ``within_ns`` from their time."""
     places = places.copy()
-    found = np.flatnonzero(places >= 0)
-    far = np.abs(times[found] - keys[places[found]]) > within_ns
-    places[found[far]] = -1
+    indices = np.flatnonzero(places >= 0)
+    far = np.abs(times[indices] - keys[places[indices]]) > within_ns
+    places[indices[far]] = -1
     return places
 
 
@@ -72,6 +73,7 @@ def _take(array: FieldArray, places: AnyArray) -> FieldArray:
     kind, values, missing = array
     if not len(values):
         return FieldArray(kind, *empty_values(kind, len(places)))
+    # Place -1 takes the last message, whose values are then marked as missing.
     taken, lacking = values[places], missing[places] | (places < 0)
     if taken.dtype.kind == "O":
         taken[lacking] = None

@@ -27,6 +27,7 @@ Typed = Tuple[str, "ArrayType"]
 """Name and type of a column."""
 
 MIXED = "mixed"
+"""Kind of values of several types that no numeric type holds exactly."""
 _MANTISSA = {"float32": 24, "float64": 53}
 """Number of bits of the integers that a float type holds exactly."""
 
@@ -84,7 +85,10 @@ def group_types(projection: Projection, table: Table) -> list[list[Typed]]:
 
 
 def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
-    """Return name and type of each column of the result of a statement on a topic's tables."""
+    """Return name and type of each column of the result of a statement on a topic's tables.
+
+    A column that no table has is MIXED.
+    """
     select = replace(analyse_select(select, tables), hidden=())
     projections = Projections(select, tables)
     types = dict(unite_columns([group_types(projections.of(table), table) for table in tables]))
@@ -93,7 +97,7 @@ def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
 
 
 def unite_columns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
-    """Return name and type of all tables' columns, path by path."""
+    """Return name and type of all tables' columns, path by path; of each table see group_types."""
     columns: list[Typed] = []
     for groups in zip(*tables):
         names: dict[str, list[ArrayType]] = {}
@@ -117,6 +121,7 @@ def unite_types(types: Sequence[ArrayType]) -> ArrayType:
 
 
 def _wider(kind: str, other: str) -> str:
+    """Return the kind of numbers that holds two other kinds exactly, or MIXED."""
     try:
         wider = np.promote_types(kind, other)
         whole = [d for d in map(np.dtype, (kind, other)) if d.kind in "iu"]

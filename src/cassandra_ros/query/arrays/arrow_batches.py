@@ -33,7 +33,12 @@ from cassandra_ros.query.arrays.arrow_types import (
 )
 from cassandra_ros.query.arrays.field_arrays import ReadBlocks, ReadRows
 from cassandra_ros.query.arrays.row_columns import RowColumns
-from cassandra_ros.query.arrays.stacked_values import MessageBlock, group_by_size, join_blocks
+from cassandra_ros.query.arrays.stacked_values import (
+    MessageBlock,
+    SizeGroups,
+    group_by_size,
+    join_blocks,
+)
 from cassandra_ros.query.protocols import Row, Table
 
 if TYPE_CHECKING:
@@ -53,6 +58,7 @@ MOST_UNUSUAL = 0.1
 """Largest share of rows whose columns do not hold all fields; with more of them the messages of all
 rows are read, in one batch."""
 UNITS = {"time": "ns since 1970, UTC", "duration": "ns"}
+"""Units in the metadata of columns, by kind."""
 
 
 class ArrowSchema:
@@ -66,6 +72,7 @@ class ArrowSchema:
     Attributes:
         arrow: The module pyarrow.
         schema: Its schema.
+        named: Whether KEY is a name.
         fields: Fields with a column, by name of the table.
         own: Names of the columns that are not fields.
         empty: Whether messages need not be read, because no field has a column.
@@ -89,8 +96,8 @@ class ArrowSchema:
             for name, kind in zip(OWN_COLUMNS, kinds)
             if wanted is None or name.lower() in wanted
         ]
-        every = [self._of(fields) for fields in self.fields.values()]
-        fields = list(unite_schemas(self.arrow, every)) if every else []
+        schemas = [self._of(fields) for fields in self.fields.values()]
+        fields = list(unite_schemas(self.arrow, schemas)) if schemas else []
         self.own = [field.name for field in own_fields]
         self.empty = not any(self.fields.values())
         self.schema = self.arrow.schema([*own_fields, *fields])
@@ -127,13 +134,13 @@ class ArrowSchema:
         return self.fields[table.name]
 
 
-class _Places(NamedTuple):
+class _MessageKeys(NamedTuple):
     """Keys, robots and runs of the messages of a batch."""
 
     keys: AnyArray
     """Times, ns, or names."""
     owners: Sequence[tuple[str, str, int]]
-    """nodeID, value of RUN, and number of consecutive messages."""
+    """For each group of consecutive messages of one writer: nodeID, value of RUN, and number."""
 
 
 class _BatchMaker:
@@ -149,7 +156,7 @@ class _BatchMaker:
         owners = [(block.node, block.run(), len(block.times)) for block in blocks]
         table = blocks[0].table
         apart = APART_MESSAGES if self._schema.reads_few(table) else None
-        return self._make(table, _Places(keys, owners), join_blocks(blocks, apart))
+        return self._make(table, _MessageKeys(keys, owners), join_blocks(blocks, apart))
 
     def of_rows(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
         """Yield batches of some rows of one table, without those that were deleted meanwhile."""
@@ -161,11 +168,13 @@ class _BatchMaker:
         for usual, members in groupby(zip(rows, raws), lambda pair: pair[1] is not None):
             parts, columns = zip(*members)
             if usual:
-                yield self._with_places(parts[0].table, self._places(parts), reader.make(columns))
+                arrays = reader.make(columns)
+                yield self._with_own_columns(parts[0].table, self._keys_of(parts), arrays)
             else:
                 yield from self._of_messages(parts)
 
     def _of_messages(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
+        """Yield a batch of rows whose messages are read, or none if all were deleted meanwhile."""
         wires: list[bytes | None] = []
         batch: list[Row] = []
         for row in rows:
@@ -177,34 +186,35 @@ class _BatchMaker:
                 wires.append(None)
             batch.append(row)
         if batch:
-            yield self._make(batch[0].table, self._places(batch), group_by_size(wires))
+            yield self._make(batch[0].table, self._keys_of(batch), group_by_size(wires))
 
-    def _places(self, rows: Sequence[Any]) -> _Places:
+    def _keys_of(self, rows: Sequence[Any]) -> _MessageKeys:
         owned = groupby(rows, key=lambda row: (row.node, writer_of(row.seq)))
         groups = [(node, list(members)) for (node, _), members in owned]
         owners = [(node, members[0].run, len(members)) for node, members in groups]
         if self._schema.named:
-            return _Places(np.array([str(row.key) for row in rows], object), owners)
-        return _Places(np.fromiter((row.t for row in rows), np.int64, len(rows)), owners)
+            return _MessageKeys(np.array([str(row.key) for row in rows], object), owners)
+        return _MessageKeys(np.fromiter((row.t for row in rows), np.int64, len(rows)), owners)
 
-    def _make(self, table: Table, places: _Places, groups: Any) -> pyarrow.RecordBatch:
-        fields, count = self._schema.of_table(table), len(places.keys)
+    def _make(self, table: Table, keys: _MessageKeys, groups: SizeGroups) -> pyarrow.RecordBatch:
+        """Make a batch of serialised messages; a message in no group has no values."""
+        fields, count = self._schema.of_table(table), len(keys.keys)
         if not fields or table.definition is None:
-            return self._with_places(table, places, ())
+            return self._with_own_columns(table, keys, ())
         arrays, unread = make_columns(self._arrow, table.definition, fields, groups, count)
         for n in unread.tolist():
-            key, kind = places.keys[n], table.msg_type
+            key, kind = keys.keys[n], table.msg_type
             _log.warning("a message of type %s at %s cannot be read", kind, key)
-        return self._with_places(table, places, arrays)
+        return self._with_own_columns(table, keys, arrays)
 
-    def _with_places(
-        self, table: Table, places: _Places, field_arrays: Sequence[pyarrow.Array]
+    def _with_own_columns(
+        self, table: Table, keys: _MessageKeys, field_arrays: Sequence[pyarrow.Array]
     ) -> pyarrow.RecordBatch:
         """Return a batch of the arrays of fields, with the columns that are not fields."""
-        arrow, schema, count = self._arrow, self._schema.schema, len(places.keys)
+        arrow, schema, count = self._arrow, self._schema.schema, len(keys.keys)
         fields = self._schema.of_table(table)
         columns = {field.name.lower(): array for field, array in zip(fields, field_arrays)}
-        heads = {name: self._own(name, places) for name in self._schema.own}
+        heads = {name: self._own(name, keys) for name in self._schema.own}
         arrays = []
         for n, field in enumerate(schema):
             array = heads.get(field.name) if n < len(heads) else columns.get(field.name.lower())
@@ -213,13 +223,14 @@ class _BatchMaker:
             arrays.append(adapt(arrow, array, field.type))
         return arrow.RecordBatch.from_arrays(arrays, schema=schema)
 
-    def _own(self, name: str, places: _Places) -> pyarrow.Array:
+    def _own(self, name: str, keys: _MessageKeys) -> pyarrow.Array:
+        """Return the column KEY, NODE or RUN."""
         arrow = self._arrow
         if name == "KEY":
             kind = arrow.string() if self._schema.named else arrow.timestamp("ns")
-            return arrow.array(places.keys, kind)
-        place = OWN_COLUMNS.index(name) - 1
-        parts = [arrow.repeat(owner[place], owner[2]) for owner in places.owners]
+            return arrow.array(keys.keys, kind)
+        is_node = name == "NODE"
+        parts = [arrow.repeat(node if is_node else run, n) for node, run, n in keys.owners]
         return arrow.concat_arrays(parts)
 
 
@@ -236,7 +247,7 @@ def read_batches(
         topic: Name of the topic, for the error text.
         schema: The columns.
         rows: Reads the messages as rows.
-        blocks: Reads the messages as blocks; None = as rows.
+        blocks: Reads the messages as blocks, if it can; None = as rows.
         watch: Called for each block or row; an exception from it ends the read.
 
     Raises:
@@ -256,6 +267,7 @@ def read_batches(
 
 
 def _columns(schema: ArrowSchema, table: Table) -> Sequence[str] | None:
+    """Return the columns of rows that must be read, see ColumnChoice."""
     if schema.empty:
         return ()
     reader = schema.row_columns(table)

@@ -37,18 +37,24 @@ if TYPE_CHECKING:
 LONG_RUN = 32
 """Number of elements of an array from which it is copied by itself, not by indices."""
 _MAX_LENGTHS = 2**31
+"""No limit on the lengths in a layout: a message alone has to be read whatever it costs."""
 _PAIRS = {"time": np.dtype("<u4"), "duration": np.dtype("<i4")}
 
 
 class _StackSlots(NamedTuple):
-    """Messages of one layout, and the slots of a field's values in the array that is made."""
+    """Messages of one layout, and the slots (indices) of a field's values in the array to make."""
 
     stack: Stack
     slots: Int64Array
     """(messages, values of the field in a message)."""
 
     def inside(self, counts: Int64Array, offsets: Int64Array) -> _StackSlots:
-        """Return the slots of the elements of arrays, of which a message has some."""
+        """Return the slots of the elements of arrays at these slots.
+
+        Args:
+            counts: Number of elements of each array in a message.
+            offsets: Slot of the first element of each array of all messages, by the array's slot.
+        """
         return _StackSlots(self.stack, _spread(offsets[self.slots], counts))
 
 
@@ -107,6 +113,7 @@ def _object_check(definition: Definition) -> Callable[[bytes], object] | None:
 
 
 def _by_layout(definition: Definition, groups: SizeGroups) -> Iterator[Stack]:
+    """Yield the messages by their layout; malformed ones are left out."""
     for members, planes in groups:
         stacks, rest = stacker(definition).stacks(planes, members)
         yield from stacks
@@ -120,6 +127,11 @@ def _by_layout(definition: Definition, groups: SizeGroups) -> Iterator[Stack]:
 
 
 class _ArrayMaker:
+    """Makes arrays of Arrow.
+
+    ``validity`` is everywhere the buffer of bits that says which values are not null; None = all.
+    """
+
     def __init__(self, arrow: Any) -> None:
         self._arrow = arrow
 
@@ -134,7 +146,7 @@ class _ArrayMaker:
     def _values(
         self, field: ArrowField, stacks: Sequence[_StackSlots], size: int, validity: Any = None
     ) -> pyarrow.Array:
-        """Make the array of a field's values, of an array of its elements."""
+        """Make the array of a field's values; of a field that is an array, of its elements."""
         kind = field.value_type(self._arrow)
         if field.children:
             children = [self.make(child, stacks, size) for child in field.children]
@@ -229,6 +241,7 @@ def _counts(field: ArrowField, stack_slots: _StackSlots) -> Int64Array:
 
 
 def _offsets(stacks: Sequence[_StackSlots], counts: Sequence[Int64Array], size: int) -> Int64Array:
+    """Return the slot of the first element of each of ``size`` arrays, and that after the last."""
     lengths = np.zeros(size, np.int64)
     for stack_slots, n in zip(stacks, counts):
         lengths[stack_slots.slots] = n
@@ -253,7 +266,10 @@ def _fill_slots(
     """Return the elements of arrays, or the bytes of texts, at their slots.
 
     Args:
-        runs: All elements of each message of a stack: (messages, elements).
+        total: Number of elements of all messages.
+        counts: For each stack the number of elements of each array of a message, see _counts.
+        offsets: See _offsets.
+        runs: For each stack all elements of each message: (messages, elements).
     """
     elements: AnyArray = np.zeros(total, dtype)
     for stack_slots, n, values in zip(stacks, counts, runs):
@@ -292,6 +308,7 @@ def _text_bytes(stack: Stack, path: str) -> AnyArray:
 
 
 def _is_utf8(data: AnyArray, offsets: Int64Array) -> bool:
+    """Return whether each of some texts, which lie one after the other, is UTF-8."""
     if not len(data) or data.max() < 0x80:
         return True
     try:

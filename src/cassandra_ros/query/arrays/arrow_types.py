@@ -43,7 +43,7 @@ def load_arrow(purpose: str) -> Any:
 
 
 def wanted_columns(paths: Iterable[Sequence[str]]) -> Wanted:
-    """Return the columns at some paths, each the names from a column down to a field in it."""
+    """Return what to make for some paths, each the names from a column down to a field in it."""
     tree: Wanted = {}
     whole: list[Wanted] = []
     for path in paths:
@@ -89,7 +89,7 @@ class ArrowField:
     """Dotted path of the field in its message."""
     field: Field
     children: tuple[ArrowField, ...] = ()
-    """Fields of the message, or of each message in the array; () = a primitive type."""
+    """Fields of the message, or of each message in the array, that are made; () = primitive."""
 
     @property
     def is_bytes(self) -> bool:
@@ -121,7 +121,7 @@ class ColumnNames:
         """Path of a message with a dot behind it, '' = the whole message → field → column."""
 
     def of(self, prefix: str, field: str) -> str:
-        """Return the name in Arrow of a field of the message at a path."""
+        """Return the name in Arrow of a field of the message at a path, as in ``_names``."""
         names = self._names.setdefault(prefix, {})
         if field not in names:
             reserved = () if prefix else OWN_COLUMNS
@@ -164,6 +164,7 @@ def count_leaves(fields: Iterable[ArrowField]) -> int:
 
 
 def _free_name(name: str, lower_names: set[str]) -> str:
+    """Return a name, with the first number that makes it new without regard to case."""
     number, free = 0, name
     while free.lower() in lower_names:
         number += 1
@@ -172,6 +173,7 @@ def _free_name(name: str, lower_names: set[str]) -> str:
 
 
 def _prune(fields: Sequence[ArrowField], wanted: Wanted) -> Iterator[ArrowField]:
+    """Yield the wanted fields, with the wanted fields inside them."""
     for field in fields:
         inside = wanted.get(field.name.lower())
         if inside is None:
@@ -182,7 +184,7 @@ def _prune(fields: Sequence[ArrowField], wanted: Wanted) -> Iterator[ArrowField]
 
 
 def unite_schemas(arrow: Any, schemas: Sequence[pyarrow.Schema]) -> pyarrow.Schema:
-    """Return a schema with the columns of all schemas, of types that hold the values of all."""
+    """Return a schema with the columns of one or more schemas, of types that hold all values."""
     struct = reduce(
         lambda one, other: _unite(arrow, one, other), [arrow.struct(list(s)) for s in schemas]
     )
@@ -190,6 +192,7 @@ def unite_schemas(arrow: Any, schemas: Sequence[pyarrow.Schema]) -> pyarrow.Sche
 
 
 def _unite(arrow: Any, one: pyarrow.DataType, other: pyarrow.DataType) -> pyarrow.DataType:
+    """Return the type that holds the values of two; text (JSON) if they have nothing in common."""
     if one == other:
         return one
     types = arrow.types

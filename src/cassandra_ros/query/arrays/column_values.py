@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from cassandra_ros.query.arrays.array_types import AnyType
 
 Raws = Sequence[Optional[bytes]]
+"""One column of many rows, in CQL's encoding; None = missing."""
 BIG_ENDIAN = {
     "boolean": ">u1",
     "tinyint": ">i1",
@@ -36,6 +37,7 @@ BIG_ENDIAN = {
 """numpy types of CQL's encodings, by CQL type."""
 _FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in BIG_ENDIAN.items()}
 _NO_LIST = b"\0\0\0\1"
+"""Number of elements, encoded, that stands for a missing list: it counts as one element."""
 
 
 class ColumnArray(NamedTuple):
@@ -43,10 +45,12 @@ class ColumnArray(NamedTuple):
 
     values: AnyArray
     missing: AnyArray
-    """A bool for each row: its value is missing. Takes no memory if no value is missing."""
+    """A bool for each row: its value is missing. If none is, it may be none_missing: read-only."""
 
 
 Convert = Callable[[Raws], ColumnArray]
+"""Function from the columns of many rows to values. A malformed column raises CorruptMessage,
+ValueError or struct.error."""
 
 
 def compile_convert(
@@ -82,11 +86,12 @@ def count_elements(raws: Raws) -> AnyArray:
 
 @lru_cache(maxsize=64)  # most batches have the same number of rows
 def none_missing(count: int) -> AnyArray:
-    """Return the marks of ``count`` values that all exist."""
+    """Return the marks of ``count`` values that all exist: read-only, and without memory."""
     return np.broadcast_to(np.False_, (count,))
 
 
 def _absent(raws: Sequence[object]) -> AnyArray:
+    """Return a bool for each row: it is None."""
     if None not in raws:
         return none_missing(len(raws))
     return np.fromiter((raw is None for raw in raws), bool, len(raws))
@@ -113,7 +118,10 @@ def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> ColumnArray:
 
 
 def join_fixed(raws: Raws, dtype: AnyType) -> AnyArray:
-    """Join the values of all rows; each must have the size of the type."""
+    """Join the values of all rows, zeros for a missing one.
+
+    CorruptMessage: a value does not have the size of the type.
+    """
     filler = bytes(dtype.itemsize)
     data = b"".join([filler if raw is None else raw for raw in raws])
     if len(data) != len(raws) * dtype.itemsize:
@@ -132,6 +140,7 @@ def as_uint64(raws: Raws) -> AnyArray:
 
 
 def _texts(raws: Raws) -> ColumnArray:
+    """Return texts as objects, None for a missing one."""
     # Texts such as frame names repeat: equal texts share one object.
     texts = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
     values = np.empty(len(raws), object)
@@ -155,11 +164,11 @@ def _size_of(kind: str) -> int:
 
 
 def _cells(kind: str, raws: Raws) -> ColumnArray:
+    """Return arrays of any length, each an object of its own."""
     missing = _absent(raws)
     sizes = {0 if raw is None else len(raw) for raw in raws}
-    if (
-        len(sizes) == 1 and 0 not in sizes
-    ):  # arrays of equal length, as in most scans, are read together
+    # Arrays of equal length, as in most scans, are read together.
+    if len(sizes) == 1 and 0 not in sizes:
         rows = _arrays(kind, sizes.pop() // _size_of(kind), raws).values
         return ColumnArray(objects_of(list(rows)), missing)
     cells = [None if raw is None else numbers_of(kind, raw) for raw in raws]
@@ -167,11 +176,13 @@ def _cells(kind: str, raws: Raws) -> ColumnArray:
 
 
 def _arrays(kind: str, length: int, raws: Raws) -> ColumnArray:
+    """Return arrays of one length as the rows of one array."""
     data = join_fixed(raws, np.dtype(f"V{length * _size_of(kind)}"))
     return ColumnArray(numbers_of(kind, data.tobytes()).reshape(len(raws), length), _absent(raws))
 
 
 def _element(index: int, kind: str, raws: Raws) -> ColumnArray:
+    """Return the element with this index of each array of numbers; missing in a shorter one."""
     size = _size_of(kind)
     low, high = index * size, (index + 1) * size
     cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
@@ -204,6 +215,7 @@ def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> ColumnArray:
 
 
 def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> ColumnArray:
+    """Return lists as arrays; ``elements`` converts the elements of all lists together."""
     # A missing list counts as one element.
     values, ends = elements(raws).values, np.cumsum(count_elements(raws))
     cells = np.split(values, ends[:-1])
@@ -217,6 +229,7 @@ def _list_element(index: int, raws: Raws) -> ColumnArray:
 
 
 def _part(convert: Convert, time_part: str, raws: Raws) -> ColumnArray:
+    """Return the secs or nsecs of times."""
     values, missing = convert(raws)
     return ColumnArray(values // SECOND_NS if time_part == "secs" else values % SECOND_NS, missing)
 
@@ -252,6 +265,7 @@ def from_decoded(values: Sequence[Any], kind: ArrayType) -> ColumnArray:
 
 
 def _cell(value: Any, kind: ArrayType) -> AnyArray:
+    """Return a decoded array; one with a missing element holds objects."""
     if isinstance(value, bytes):
         return np.frombuffer(value, np.uint8).copy()
     if kind.dtype.kind == "O" or None in value:
@@ -260,7 +274,7 @@ def _cell(value: Any, kind: ArrayType) -> AnyArray:
 
 
 def empty_values(kind: ArrayType, count: int) -> ColumnArray:
-    """Return ``count`` values that are all missing."""
+    """Return ``count`` values that are all missing, in arrays that the caller may fill."""
     dtype = np.dtype(object) if kind.cells else kind.dtype
     shape = (count, kind.length) if kind.depth == 1 and kind.length is not None else (count,)
     values = np.full(shape, None, object) if dtype.kind == "O" else np.zeros(shape, dtype)
@@ -287,10 +301,8 @@ def cast_values(array: ColumnArray, table_kind: ArrayType, kind: ArrayType) -> C
         if values.dtype.kind == "O":
             values[missing] = None
         return ColumnArray(values, missing)
-    if table_kind.depth == 0:
-        return ColumnArray(
-            rows_of(values.astype(object), missing), missing
-        )  # other tables have arrays
+    if table_kind.depth == 0:  # other tables have arrays
+        return ColumnArray(rows_of(values.astype(object), missing), missing)
     cells = rows_of(values, missing)
     dtype = table_kind.dtype if kind.depth == 0 else kind.dtype
     return ColumnArray(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
@@ -312,6 +324,5 @@ def stack_cells(cells: AnyArray, kind: ArrayType) -> AnyArray:
     if len(lengths) != 1:
         return cells
     rows = np.concatenate(cells.tolist()).reshape(len(cells), lengths.pop())
-    return (
-        rows if rows.dtype == kind.dtype else cells
-    )  # an array with a missing element has another type
+    # An array with a missing element has another type.
+    return rows if rows.dtype == kind.dtype else cells

@@ -19,6 +19,7 @@ import numpy as np
 from cassandra_ros.query.arrays.array_types import AnyArray
 
 _NEVER, _BEFORE = 2**63 - 1, -1
+"""First and last time of a pixel without messages: any message is earlier, and later."""
 GAP_INTERVALS = 5
 """Maximum pause in a connected line, as a multiple of the median interval between messages."""
 
@@ -40,7 +41,10 @@ class Grid(NamedTuple):
 
     @classmethod
     def between(cls, low: int, high: int, most: int) -> Grid:
-        """Return the shortest pixels of which ``most`` (>= 1) or fewer contain low to high, ns."""
+        """Return the shortest pixels of which ``most`` (>= 1) or fewer contain low to high, ns.
+
+        Both ends are included.
+        """
         shift = max(0, ((high - low) // most).bit_length() - 1)
         while (high >> shift) - (low >> shift) >= most:
             shift += 1
@@ -76,7 +80,7 @@ class Points(NamedTuple):
     times: AnyArray
     """Middle between first and last message in each pixel, ns; exact for a single message."""
     low: AnyArray
-    """Minimum in each pixel: (columns, pixels)."""
+    """Minimum in each pixel: (columns, pixels); NaN = the column has no finite number there."""
     high: AnyArray
     rows: AnyArray
     """Number of messages or rows in each pixel; 0 = unknown, but more than none."""
@@ -118,7 +122,7 @@ class Envelope:
 
         Args:
             firsts, lasts: First and last time of each group, ns.
-            low, high: Minimum and maximum of each group: (columns, groups).
+            low, high: Minimum and maximum of each group, finite or NaN: (columns, groups).
             rows: Number of rows of each group; None = one each.
         """
         places = self.grid.places(firsts)
@@ -142,7 +146,10 @@ class Envelope:
         self._high[:, at] = np.fmax(self._high[:, at], np.fmax.reduceat(high, starts, axis=1))
 
     def add_wide(self, firsts: AnyArray, lasts: AnyArray, low: AnyArray, high: AnyArray) -> None:
-        """Add groups of rows that may span several pixels: each pixel gets the group's bounds."""
+        """Add groups of rows that may span several pixels: each pixel gets the group's bounds.
+
+        How many rows lie in each pixel is not known: they count as 0. Arguments as in add_spans.
+        """
         ends = (self.grid.low, self.grid.high)
         inside = np.flatnonzero((lasts >= ends[0]) & (firsts <= ends[1]))
         firsts, lasts = np.maximum(firsts[inside], ends[0]), np.minimum(lasts[inside], ends[1])

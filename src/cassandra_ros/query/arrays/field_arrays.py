@@ -83,7 +83,7 @@ def gather_fields(
         text, params = where
     if text is not None:
         parse_condition(text, params)  # parsed alone, so that it cannot close the bracket around it
-    select = _with_places(_statement(topic, fields, text, params), topic.tables, whose)
+    select = _with_times(_statement(topic, fields, text, params), topic.tables, whose)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
@@ -91,12 +91,14 @@ def gather_fields(
         values = _from_blocks(select, tables, blocks)
         if values is not None:
             return values
+        # Anew: some of these may hold values of blocks that were read before.
         tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
 
     def columns(table: Table) -> Sequence[str]:
         table_values = tables.get(table.name)
         return table.columns if table_values is None else table_values.needed
 
+    # The number of a row orders the rows of all tables. It stays 0 until a second table has one.
     number, latest = 0, ""
     for row in read(columns):
         name = row.table.name
@@ -114,7 +116,7 @@ def gather_fields(
 def _from_blocks(
     select: Select, tables: Mapping[str, TableValues], blocks: ReadBlocks
 ) -> dict[str, FieldArray] | None:
-    """Gather fields from blocks; None: they must be read as rows."""
+    """Gather fields from blocks; None: they must be read as rows, by new ``tables``."""
     read = blocks()
     if read is None:
         return None
@@ -139,6 +141,7 @@ def as_arrays(fields: dict[str, FieldArray]) -> dict[str, AnyArray]:
 
 
 def _mask(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
+    """Return the values of a field, masked where they are missing; objects have None there."""
     many = values.ndim > 1
     if kind.depth == 1 and not many and not missing.any():
         # Stacked only here, where all messages are known: the shape must not depend on one batch.
@@ -150,7 +153,7 @@ def _mask(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
     return masked_array
 
 
-def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
+def _with_times(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
     """Return a statement whose NEAR and EVENT conditions know their times."""
     bounds = bounds_of(select, Read(whose=whose), tables)
     return with_stays(select, tables, bounds.read)
@@ -159,7 +162,11 @@ def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Selec
 def _statement(
     topic: Source[Row], fields: Fields, where: str | None, params: Sequence[object]
 ) -> Select:
-    """Return the statement that selects these fields."""
+    """Return the statement that selects these fields, analysed.
+
+    Raises:
+        InvalidName, InvalidQuery: See gather_fields.
+    """
     names = ["*"] if fields is None else check_list("fields", fields, "['linear.x']")
     for field in names:
         if not isinstance(field, str):
@@ -174,13 +181,13 @@ def _statement(
         raise InvalidQuery(select.text, len("SELECT "), reason)
     tables = topic.tables
     select = analyse_select(select, tables)
-    called: dict[str, Term] = {}
+    by_name: dict[str, Term] = {}
     for column in select.columns or ():
         what = column.what
         if isinstance(what, Aggregate):
             reason = f"{what.text} is one value, no field; executeCQL answers it"
             raise InvalidQuery(select.text, what.position, reason)
-        other = called.setdefault(column.text, what)
+        other = by_name.setdefault(column.text, what)
         if other.text != what.text:
             reason = f"both {what.text} and {other.text} are called {column.text}"
             raise InvalidQuery(select.text, what.position, reason)
@@ -188,6 +195,7 @@ def _statement(
 
 
 def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
+    """Return the gathered fields of all tables, in the order of the rows or blocks."""
     if not tables:  # the topic has no message type yet
         columns = select.columns or (Selected(KeyOperand(0)),)
         kinds = {c.text: "time" if isinstance(c.what, KeyOperand) else MIXED for c in columns}
@@ -195,9 +203,9 @@ def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, Fie
             n: FieldArray(ArrayType(k), *empty_values(ArrayType(k), 0)) for n, k in kinds.items()
         }
     filled = [table for table in tables if table.count]
-    places = [place for table in filled for place in table.places]
-    order = _order_of(places) if places else None
-    if len(filled) > 1 and not places:
+    blocks = [block for table in filled for block in table.block_keys]
+    order = _order_of(blocks) if blocks else None
+    if len(filled) > 1 and not blocks:
         order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
     arrays = {}
     for name, kind in dict(unite_columns([table.groups for table in tables])).items():
@@ -218,17 +226,17 @@ def _as_int64(values: AnyArray, missing: AnyArray) -> tuple[ArrayType, AnyArray]
         return ArrayType(MIXED), values
 
 
-def _order_of(places: Sequence[MessageBlock]) -> AnyArray | None:
-    """Return the order by time, node, _seq and table; None if they are already in order."""
-    times = np.concatenate([place.times for place in places])
+def _order_of(blocks: Sequence[MessageBlock]) -> AnyArray | None:
+    """Return the order of messages by time, node, _seq and table; None: they are in order."""
+    times = np.concatenate([block.times for block in blocks])
     if (times[1:] > times[:-1]).all():
         return None
-    counts = [len(place.times) for place in places]
+    counts = [len(block.times) for block in blocks]
     nodes, tables = (
         np.repeat(np.unique(names, return_inverse=True)[1], counts)
-        for names in ([p.node for p in places], [p.table.name for p in places])
+        for names in ([b.node for b in blocks], [b.table.name for b in blocks])
     )
-    order: AnyArray = np.lexsort((tables, np.concatenate([p.seqs for p in places]), nodes, times))
+    order: AnyArray = np.lexsort((tables, np.concatenate([b.seqs for b in blocks]), nodes, times))
     return order
 
 
@@ -236,7 +244,10 @@ _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
 def as_frame(fields: dict[str, FieldArray]) -> Any:
-    """Return gathered fields, KEY among them, as a DataFrame with index KEY."""
+    """Return gathered fields, KEY among them, as a DataFrame with index KEY.
+
+    KEY is taken out of ``fields``, and the arrays may be changed and become part of the frame.
+    """
     pandas = optional_module("pandas", "toDataFrame")
     key = fields.pop("KEY")
     times = key.kind.kind == "time"

@@ -34,10 +34,10 @@ class RowColumns:
         arrow: The module pyarrow.
         fields: The fields.
         columns: The column of each field that is not a message, by its path.
-        held: Columns of the table, in their order.
+        names: Columns of the table, in their order.
 
     Attributes:
-        names: The columns that must be read.
+        names: The columns that must be read, in the same order.
     """
 
     def __init__(
@@ -52,17 +52,19 @@ class RowColumns:
         self._columns = columns
         self.names = [name for name in names if name in columns]
         self._places = {name: n for n, name in enumerate(self.names)}
-        self._whole = len(names), [list(names).index(name) for name in self.names]
+        self._table_width = len(names)
+        self._table_places = [list(names).index(name) for name in self.names]
+        """Index of each of these columns among all columns of the table."""
 
     @classmethod
     def of(cls, arrow: Any, table: Table, fields: Sequence[ArrowField]) -> RowColumns | None:
         """Return the reader of some fields; None = they need the messages, or most columns."""
         if not table.by_field or table.definition is None or not fields:
             return None
-        every = {column.name: column for column in wire_plan(table.definition).all_columns}
+        by_name = {column.name: column for column in wire_plan(table.definition).all_columns}
         columns = {}
         for path in _leaves(fields):
-            column = None if path is None else every.get(path)
+            column = None if path is None else by_name.get(path)
             if column is None or column.is_list or column.kind == "wire":
                 return None
             columns[column.name] = column
@@ -73,14 +75,14 @@ class RowColumns:
     def columns_of(self, row: Row) -> Raws | None:
         """Return the bytes of the fields' columns in a row; None = the message is needed."""
         columns = row.columns
-        if len(columns) == self._whole[0]:
-            columns = tuple(columns[n] for n in self._whole[1])
+        if len(columns) == self._table_width:
+            columns = tuple(columns[n] for n in self._table_places)
         if len(columns) != len(self.names) or None in columns:
             return None
         return columns  # type: ignore[return-value]  # no column is None
 
     def make(self, rows: Sequence[Raws]) -> list[pyarrow.Array]:
-        """Make the arrays of the fields of some rows.
+        """Make the arrays of the fields from what ``columns_of`` returned for some rows.
 
         Raises:
             CorruptMessage: A column does not have the size of its type.
@@ -105,7 +107,7 @@ class RowColumns:
         return self._numbers(kind, numbers.astype(kind.to_pandas_dtype()))
 
     def _pieces(self, field: ArrowField, kind: Any, data: AnyArray, sizes: Any) -> pyarrow.Array:
-        """Return texts, bytes or arrays of numbers out of all their bytes."""
+        """Return texts, bytes or arrays of numbers out of all their bytes, of these sizes."""
         arrow, count = self._arrow, len(sizes)
         is_plain = not field.field.is_array or field.is_bytes
         numbers = data if is_plain else numbers_of(field.field.base, data.tobytes())

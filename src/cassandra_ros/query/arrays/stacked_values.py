@@ -119,13 +119,14 @@ def join_blocks(blocks: Sequence[MessageBlock], apart: int | None = None) -> Siz
             yield indices, _join([planes for _, planes in parts], len(indices))
 
 
-def _join(parts: Sequence[Planes], count: int) -> ByteArray:
-    arrays = [planes for planes in parts if isinstance(planes, np.ndarray)]
-    if len(arrays) == len(parts):
+def _join(groups: Sequence[Planes], count: int) -> ByteArray:
+    """Return the planes of ``count`` messages of one size, from several groups."""
+    arrays = [planes for planes in groups if isinstance(planes, np.ndarray)]
+    if len(arrays) == len(groups):
         return np.concatenate(arrays, axis=1)  # messages that are adjacent in memory stay so
-    all_planes = np.empty((len(parts[0]), count), np.uint8)
+    all_planes = np.empty((len(groups[0]), count), np.uint8)
     at = 0
-    for planes in parts:
+    for planes in groups:
         after = at + planes.shape[1]
         copy_planes(planes, all_planes[:, at:after])
         at = after
@@ -165,25 +166,26 @@ class StackedField(NamedTuple):
         array.missing[stack.members] = False
 
     def _numbers(self, stack: Stack) -> AnyArray | None:
-        """Return one number per message, or one row of numbers per message."""
+        """Return one number, or one row of numbers, per message; None: the array is too short."""
         ref, path = self.ref, self.column.name
         base = self.column.field_type.partition("[")[0]
         if self.kind.depth:
             rows: AnyArray = np.ascontiguousarray(stack.array(path, base).T)
             return rows.astype(self.kind.dtype, copy=False)
         if ref.index is not None:
-            every = stack.element(path, ref.index, base)
+            by_offset = stack.element(path, ref.index, base)
         else:
-            every = stack.numbers(path, base)
-        if not len(every):
+            by_offset = stack.numbers(path, base)
+        if not len(by_offset):
             return None
-        numbers: AnyArray = every[0]
+        numbers: AnyArray = by_offset[0]
         if ref.part:
             numbers = numbers // SECOND_NS if ref.part == "secs" else numbers % SECOND_NS
         return numbers.astype(self.kind.dtype)
 
 
 def _texts(stack: Stack, path: str) -> AnyArray:
+    """Return a text of each message, as an array of objects."""
     ((at, size),) = stack.layout.texts[path]
     characters = stack.planes[at : at + size].T.tobytes()
     count = stack.planes.shape[1]
@@ -197,9 +199,9 @@ def _texts(stack: Stack, path: str) -> AnyArray:
 
 def group_by_size(wires: Sequence[bytes | None]) -> SizeGroups:
     """Group messages by size; None stands for a missing message."""
-    places = np.array([n for n, wire in enumerate(wires) if wire is not None], np.int64)
+    indices = np.array([n for n, wire in enumerate(wires) if wire is not None], np.int64)
     for members, planes in by_size([wire for wire in wires if wire is not None]):
-        yield places[members], planes
+        yield indices[members], planes
 
 
 def read_stacked(

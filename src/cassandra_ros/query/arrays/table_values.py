@@ -52,6 +52,7 @@ DECODED_BATCH_ROWS = 4096
 DECODED_BATCH_BYTES = 8 * 1024 * 1024
 """Size of the messages from which a batch of rows is decoded, bytes."""
 BLOCKS_BYTES = 2 * 1024 * 1024
+"""Size of the messages from which a batch of blocks is converted, bytes."""
 BATCH_MESSAGES = 16384
 """Maximum number of messages in a batch of blocks; large, so that messages of rare sizes meet."""
 
@@ -74,8 +75,12 @@ class TableValues:
     """Gathers the values of a statement's columns (fields, KEY, …) from the rows of one table.
 
     Undecoded columns are taken from the row, or cut out of the serialised message. If a field has
-    no column of its own, all fields are decoded. ``groups`` holds name and type of the columns of
-    each selected path.
+    no column of its own, all fields are decoded. A table is filled either by ``add`` or, where
+    ``takes_blocks``, by ``add_block``; ``flush`` comes before its values are taken.
+
+    Attributes:
+        groups: Name and type of the columns of each selected path.
+        block_keys: Times, nodes and _seq of the gathered blocks.
     """
 
     def __init__(self, select: Select, table: Table, findings: Findings) -> None:
@@ -85,8 +90,11 @@ class TableValues:
         self._outputs = [output for group in self._projection.groups for output in group]
         self._kinds = [kind for group in self.groups for _, kind in group]
         self._arrays = [".".join(s.name for s in array) for array in self._projection.unnested]
+        """Paths of the arrays that are unnested."""
         self._names: list[str] = []
-        self._places: dict[int, list[int] | None] = {}
+        """Names of the needed columns, each once."""
+        self._indices: dict[int, list[int] | None] = {}
+        """See _indices_in, by number of columns."""
         plan = None if table.definition is None else wire_plan(table.definition)
         columns = {} if plan is None else {column.name: column for column in plan.all_columns}
         # Source of each output; None: the output has no column of its own.
@@ -98,23 +106,25 @@ class TableValues:
             origin or (output.ref is None and output.compute is None)
             for output, origin in zip(self._outputs, self._origins)
         )
+        """Whether the rows are converted column by column; else all fields are decoded."""
         self._cut = plan.cutter(self._names) if plan is not None and self._names else None
         condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
         # Checks the condition for each unnested element; None: all elements satisfy it.
         self._tester = condition if condition.unnested else None
         self._stacked = self._stacked_fields(columns)
-        """All fields, if they can be read from many messages at once; else empty."""
         self.renew()
 
     def renew(self) -> None:
         """Discard the gathered values."""
         self._chunks: list[list[ColumnArray]] = [[] for _ in self._outputs]
+        """Of each output the values of each batch."""
         self._orders: list[AnyArray] = []
-        self.places: list[MessageBlock] = []
-        """Times, nodes and _seq of the gathered blocks."""
+        """Of each batch the numbers of the rows that its values come from."""
+        self.block_keys: list[MessageBlock] = []
         self._clear()
 
     def _stacked_fields(self, columns: Mapping[str, FieldColumn]) -> list[StackedField]:
+        """Return all fields, if they can be read from many messages at once; else []."""
         if self._table.by_field or self._arrays or not self._by_column:
             return []
         fields = [
@@ -132,6 +142,7 @@ class TableValues:
     def _origin(
         self, ref: FieldRef, kind: ArrayType, columns: Mapping[str, FieldColumn]
     ) -> Origin | None:
+        """Return the source of a field's values; None: it must be decoded value by value."""
         column = columns.get(ref.column)
         inside = column is not None and column.array in self._arrays
         convert = None if column is None else compile_convert(ref, column, kind, inside)
@@ -150,9 +161,10 @@ class TableValues:
         return [name for name in every if name in self._names]
 
     def _read(self, row: Row) -> Sequence[bytes | None] | None:
-        """Return the columns of a row, each None if the message is unreadable.
+        """Return the needed columns of a row, each None if the message is unreadable.
 
-        Return None if the message was deleted after the row was read.
+        If all fields are stacked, the only column is the whole message. Return None if the message
+        was deleted after the row was read.
         """
         if self._cut is None:
             return ()
@@ -160,9 +172,9 @@ class TableValues:
             if self._stacked:
                 return (row.wire,)
             columns = row.columns
-            places = self._where(len(columns))
-            if places is not None:
-                raws = [columns[n] for n in places]
+            indices = self._indices_in(len(columns))
+            if indices is not None:
+                raws = [columns[n] for n in indices]
                 # In a row marked odd, a column that is set is exact.
                 if None not in raws:
                     return raws
@@ -173,29 +185,37 @@ class TableValues:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
             return [None] * (1 if self._stacked else len(self._names))
 
-    def _where(self, width: int) -> list[int] | None:
-        """Return the index of each needed column in a row with ``width`` columns, or None."""
+    def _indices_in(self, width: int) -> list[int] | None:
+        """Return the index of each needed column in a row with ``width`` columns.
+
+        The width tells whether the row has all columns or the needed ones. None: it has others.
+        """
         if not self._table.by_field:
             return None
-        if width not in self._places:
+        if width not in self._indices:
             row_names = list(self._table.columns)
             if width != len(row_names):
                 row_names = [name for name in row_names if name in self._names]
             fits = width == len(row_names) and all(name in row_names for name in self._names)
-            self._places[width] = [row_names.index(name) for name in self._names] if fits else None
-        return self._places[width]
+            self._indices[width] = [row_names.index(name) for name in self._names] if fits else None
+        return self._indices[width]
 
     def _clear(self) -> None:
+        """Begin a batch: one item of each list that its way of conversion uses is one row."""
         self._numbers: list[int] = []
         self._own: list[RowIdentity] = []
         self._raws: list[Sequence[bytes | None]] = []
         self._hits: list[list[bool]] = []
+        """For each element of a row whether it satisfies the condition."""
         self._decoded: list[Sequence[object]] = []
         self._blocks: list[MessageBlock] = []
         self._bytes = 0
 
     def add(self, row: Row, number: int) -> None:
-        """Add a row that satisfies the condition; ``number`` orders the rows of all tables."""
+        """Add a row that satisfies the condition; its number orders the rows of all tables.
+
+        The numbers never fall.
+        """
         projection = self._projection
         if self._by_column:
             raws = self._read(row)
@@ -218,16 +238,16 @@ class TableValues:
             self.flush()
 
     def add_block(self, block: MessageBlock) -> None:
-        """Add a block of messages that all satisfy the condition; ``places`` orders them."""
+        """Add a block of messages that all satisfy the condition; ``block_keys`` orders them."""
         self._blocks.append(block)
-        self.places.append(block._replace(groups=()))
+        self.block_keys.append(block._replace(groups=()))
         self._numbers += [0] * len(block.times)
         self._bytes += sum(planes.size for _, planes in block.groups)
         if len(self._numbers) >= BATCH_MESSAGES or self._bytes >= BLOCKS_BYTES:
             self.flush()
 
     def flush(self) -> None:
-        """Convert the rows of the batch to arrays."""
+        """Convert the rows of the batch to arrays; CorruptMessage: a column is malformed."""
         if not self._numbers:
             return
         try:
@@ -244,6 +264,7 @@ class TableValues:
         self._clear()
 
     def _all_at_once(self) -> list[ColumnArray]:
+        """Convert a batch whose fields are all stacked."""
         definition, cut = self._table.definition, self._cut
         if definition is None or cut is None:
             raise AssertionError("only fields of a definition are stacked")
@@ -253,17 +274,16 @@ class TableValues:
         )
         arrays, rest = read_stacked(definition, self._stacked, count, groups)
         columns = list(zip(*[self._cut_one(n, wire, cut) for n, wire in rest]))
-        fields, places = iter(arrays), np.array([n for n, _ in rest], np.int64)
+        fields, indices = iter(arrays), np.array([n for n, _ in rest], np.int64)
         chunks = []
         for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
             if origin is None:
-                own_values = self._of_blocks if self._blocks else self._own_values
-                chunks.append(own_values(output.place, kind))
+                chunks.append(self._own_values(output.place, kind))
                 continue
             chunk = next(fields)
             if rest:
                 values, missing = origin.convert(columns[origin.place])
-                chunk.values[places], chunk.missing[places] = values, missing
+                chunk.values[indices], chunk.missing[indices] = values, missing
             if not chunk.missing.any():
                 chunk = chunk._replace(missing=none_missing(count))
             chunks.append(chunk)
@@ -271,16 +291,17 @@ class TableValues:
         return chunks
 
     def _cut_one(self, n: int, wire: bytes, cut: Cut) -> Sequence[bytes | None]:
+        """Return the columns of message ``n`` of the batch, each None if it is unreadable."""
         try:
             return cut(wire)
         except CorruptMessage as exc:
-            own_values = self._of_blocks if self._blocks else self._own_values
-            key = own_values(KEY_PLACE, ArrayType("time")).values[n]
+            key = self._own_values(KEY_PLACE, ArrayType("time")).values[n]
             kind = self._table.msg_type
             _log.warning("a message of type %s at %s cannot be read: %s", kind, key, exc)
             return [None] * len(self._names)
 
     def _value_by_value(self) -> list[ColumnArray]:
+        """Convert a batch of decoded values."""
         columns = list(zip(*self._decoded))
         self._orders.append(_order(self._numbers))
         chunks = []
@@ -293,6 +314,7 @@ class TableValues:
         return chunks
 
     def _column_by_column(self) -> list[ColumnArray]:
+        """Convert a batch of columns; values outside an unnested array repeat for its elements."""
         columns = list(zip(*self._raws))
         counts = hits_mask = None
         if self._tester is not None:
@@ -313,11 +335,14 @@ class TableValues:
         return chunks
 
     def _own_values(self, place: int, kind: ArrayType) -> ColumnArray:
-        column = [pair[place] for pair in self._own]
+        """Return KEY, NODE or RUN (``place``: KEY_PLACE, say) of the messages of the batch."""
+        if self._blocks:
+            return self._own_values_of_blocks(place)
+        column = [identity[place] for identity in self._own]
         values = objects_of(column) if kind.dtype.kind == "O" else np.array(column, np.int64)
         return ColumnArray(values, none_missing(len(column)))
 
-    def _of_blocks(self, place: int, kind: ArrayType) -> ColumnArray:
+    def _own_values_of_blocks(self, place: int) -> ColumnArray:
         blocks = self._blocks
         counts = [len(block.times) for block in blocks]
         if place == KEY_PLACE:
@@ -340,7 +365,7 @@ class TableValues:
     def pop_column(self, name: str, kind: ArrayType) -> ColumnArray:
         """Return the values of a column as type ``kind``, and forget them to free their memory.
 
-        If the table lacks the column, each value is missing.
+        Each column is taken once. If the table lacks the column, each value is missing.
         """
         for n, (output, own_kind) in enumerate(zip(self._outputs, self._kinds)):
             if output.name == name:
@@ -350,6 +375,7 @@ class TableValues:
 
 
 def _order(numbers: Sequence[int]) -> AnyArray:
+    """Return the numbers of one or more rows as an array; they never fall."""
     # As long as only one table has rows, all numbers are 0 and take no memory.
     return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
 
