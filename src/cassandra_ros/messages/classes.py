@@ -42,6 +42,7 @@ from cassandra_ros.messages.wire.objects import MIN_TOGETHER, ObjectMaker
 _TIMES = {"time": genpy.Time, "duration": genpy.Duration}
 _lock = threading.RLock()  # genpy keeps the state of its generator in global variables
 _classes: dict[Definition, Any] = {}
+"""Class of each definition so far, read and written under ``_lock``: a definition has one class."""
 
 
 class RawMessage(genpy.Message):
@@ -100,6 +101,7 @@ def _new_message(of_type: str, text: str, md5sum: str, msg_type: str) -> Any:
 
 
 def _name(msg_type: str) -> str:
+    """Return the name that genpy's generated source has for the class of a type."""
     return "_{}__{}".format(*msg_type.split("/"))
 
 
@@ -147,6 +149,7 @@ def _new_raw_message(msg_type: str, md5sum: str, buff: bytes) -> Any:
 
 
 def _generate(definition: Definition) -> Any:
+    """Return a class that genpy makes of a definition; called under ``_lock``."""
     names = {name: _name(name) for name in definition.specs}
     if len(set(names.values())) < len(names):
         raise DefinitionError(f"genpy cannot tell the types of {definition.type} apart")
@@ -182,7 +185,7 @@ def _with_base(line: str) -> str:
 
 
 def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
-    """Set what genpy was not given: full text, md5 and constants."""
+    """Set on a class what genpy was not given, see render_spec: full text, md5 and constants."""
     nested = msg_type != definition.type
     inner = definition.nested(msg_type) if nested else definition
     generated._generated_for = definition
@@ -237,6 +240,7 @@ def deserialize_all(cls: Any, wires: Sequence[bytes]) -> Iterator[Any]:
 
 @lru_cache(maxsize=1024)
 def _object_maker(cls: Any) -> ObjectMaker | None:
+    """Return what makes many objects of a class at once; None = they are made one by one."""
     if issubclass(cls, RawMessage):
         return None
     try:
@@ -247,6 +251,7 @@ def _object_maker(cls: Any) -> ObjectMaker | None:
 
 @lru_cache(maxsize=1024)
 def _maker(cls: Any) -> Callable[[bytes], Any]:
+    """Return the function from wire bytes to an object of a class; it may raise any exception."""
     if issubclass(cls, RawMessage):
         return cast("Callable[[bytes], Any]", cls)
     definition = definition_of(cls)

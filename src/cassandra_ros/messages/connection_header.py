@@ -14,6 +14,7 @@ from cassandra_ros.messages.definition import Definition
 
 _LENGTH = struct.Struct("<I")
 _DEFINITION = b"message_definition"
+"""Name of the field that cut_definition cuts out."""
 LATCHED_FROM = "latched_from"
 """Name of a header field that only bags have. It marks the connection of a message that was latched
 before the first message of the bag, and holds the receive time of that message, ns since 1970."""
@@ -23,12 +24,17 @@ messages came over the connection."""
 
 
 def _text_field(name: str) -> cached_property[str]:
+    """Return the property of a Connection that is one of its ``fields``, '' without that field."""
     return cached_property(lambda connection: _text(connection.fields.get(name, b"")))
 
 
 @dataclass(frozen=True)
 class Connection:
-    """One publisher's connection to a topic."""
+    """One publisher's connection to a topic.
+
+    Properties that read the header raise CorruptMessage where ``fields`` does, if they do not say
+    otherwise.
+    """
 
     topic: str
     header: bytes
@@ -42,7 +48,7 @@ class Connection:
         return {_text(name): value for name, value, _ in _walk(self.header, self.topic)}
 
     type = _text_field("type")
-    """Message type, 'pkg/Name'; '' when the header has no such field."""
+    """Message type, 'pkg/Name', not checked; '' when the header has no such field."""
     md5sum = _text_field("md5sum")
     """md5 of the definition as the publisher gave it; '' when the header has no such field."""
     definition_text = _text_field("message_definition")
@@ -57,7 +63,10 @@ class Connection:
 
     @property
     def from_before(self) -> bool:
-        """Whether the message was latched before the bag's first message, see latched_from."""
+        """Whether the message was latched before the bag's first message, see latched_from.
+
+        False for a malformed header.
+        """
         try:
             return LATCHED_FROM in self.fields
         except CorruptMessage:
@@ -81,7 +90,7 @@ class Connection:
 
     @property
     def robot(self) -> str | None:
-        """Robot in the field ROBOT, '' = one without name; None = there is no such field."""
+        """Robot in the field ROBOT, '' = one without name; None = no such field, or malformed."""
         try:
             name = self.fields.get(ROBOT)
         except CorruptMessage:
@@ -89,6 +98,7 @@ class Connection:
         return None if name is None else _text(name)
 
     def _with_field(self, name: str, value: str) -> Connection:
+        """Return the connection with one more field; it has no number."""
         field = _bytes(name) + b"=" + _bytes(value)
         return Connection(self.topic, self.header + _LENGTH.pack(len(field)) + field)
 
@@ -130,7 +140,7 @@ def join_definition(header_without: bytes, offset: int, definition: bytes) -> by
 
 
 def _walk(header: bytes, topic: str) -> Iterator[tuple[bytes, bytes, int]]:
-    """Yield the name, the value and the value's offset of each field."""
+    """Yield name, value and offset of the value of each field; CorruptMessage: it is malformed."""
     at, what = 0, f"the connection header of {topic or 'a topic'} is"
     while at < len(header):
         if at + 4 > len(header):
@@ -149,6 +159,7 @@ def _text(value: bytes) -> str:
 
 
 def _bytes(value: str | bytes) -> bytes:
+    """Return a text as bytes, the inverse of _text."""
     if isinstance(value, bytes):
         return value
     try:

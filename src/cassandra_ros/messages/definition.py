@@ -33,6 +33,7 @@ from cassandra_ros.metadata import Kind, message_kind
 MAX_DEFINITION_CHARACTERS = 1 << 20
 """Maximum length of the text of a definition, characters."""
 MAX_TYPES = 256
+"""Maximum number of types in a definition."""
 
 _SEPARATOR = "=" * 80
 _log = logging.getLogger(__name__)
@@ -111,6 +112,7 @@ def read_definition(msg_type: str, text: str, md5sum: str) -> Definition:
 
 @lru_cache(maxsize=256)
 def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
+    """Parse and check a definition, as parse_definition."""
     sections = _split(msg_type, text)
     specs: dict[str, MessageSpec] = {}
     missing: set[str] = set()
@@ -155,7 +157,10 @@ def _message_arrays(msg_type: str, specs: Specs, prefix: str) -> Iterator[str]:
 
 
 def _split(msg_type: str, text: str) -> dict[str, list[str]]:
-    """Return the texts of each type in a full definition, by type name. Equal texts count once."""
+    """Return the texts of each type in a full definition, by type name. Equal texts count once.
+
+    A line of eight or more '=' separates them.
+    """
     sections: dict[str, list[str]] = {}
     name, expect_name = msg_type, False
     lines: list[str] = []
@@ -235,7 +240,9 @@ def definition_of(msg_class: Any) -> Definition:
 def installed_class(msg_type: str) -> Any | None:
     """Return the class of an installed message type, or None; DefinitionError: not a 'pkg/Name'.
 
-    A type name comes from outside: a package is only imported if its folder has ``msg/_Name.py``.
+    None also if its module cannot be imported. The answer is kept: a type that is installed later is
+    not found. A type name comes from outside: a package is only imported if its folder has
+    ``msg/_Name.py``.
     """
     package, name = check_type_name(msg_type).split("/")
     if not _has_message(package, name):
@@ -253,6 +260,7 @@ def installed_class(msg_type: str) -> Any | None:
 
 
 def _has_message(package: str, name: str) -> bool:
+    """Return whether a package has the module of a message; the package is not imported."""
     loaded = sys.modules.get(package)
     if loaded is not None:  # an imported package may have extended its path
         folders = getattr(loaded, "__path__", [])

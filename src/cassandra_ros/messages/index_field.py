@@ -88,14 +88,14 @@ class IndexField:
         return (pack_list(list(dict.fromkeys(normal_values))) if normal_values else None), False
 
     def normal(self, raw: bytes) -> bytes | None:
-        """Return one encoded value as the index holds it; None if it cannot be indexed."""
+        """Return one encoded value so that equal ones have equal bytes; None: it is not indexed."""
         if self.kind == "float":
             return normal_float(self.element_type, raw)
         return None if len(raw) > MAX_INDEXED_TEXT_BYTES else raw
 
 
 def normal_float(cql_type: str, raw: bytes) -> bytes | None:
-    """Return an encoded number so that equal numbers have equal bytes; None for NaN."""
+    """Return an encoded float so that equal ones have equal bytes (−0.0 as 0.0); None for NaN."""
     (number,) = struct.unpack(CQL_CODES[cql_type], raw)
     if number != number:
         return None  # NaN is equal to nothing
@@ -113,14 +113,17 @@ def nearest_fields(field: str, able: Sequence[str]) -> str:
 
 
 def _is_nested(column: FieldColumn) -> bool:
+    """Return whether a column holds arrays inside an array of messages, or only a number of them."""
     return column.kind == "wire" or (column.is_list and column.kind == "array")
 
 
 def _split_column(raw: bytes) -> list[bytes] | None:
+    """Return the elements of a list column; None: they are more than MAX_ELEMENTS."""
     return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else split_list(raw)
 
 
 def _split_numbers(fixed: FixedField) -> _Split:
+    """Return the _Split of a column with an array of numbers as on the wire."""
     unit, encode = struct.calcsize("<" + fixed.little), pack_numbers(fixed, True)
 
     def split(raw: bytes) -> list[bytes] | None:

@@ -28,7 +28,8 @@ class KeyPart:
 
     Attributes:
         field: Dotted path of the field, as 'header.stamp'.
-        digest: Whether the field is an array; the index then holds the md5 of all its elements.
+        digest: Whether the field is an array; the index then holds the md5 of all its elements, as
+            text.
         is_time: Whether the field is a time; rows are then sorted by it.
         is_text: Whether the field is a text; any typed text can then be its value.
         cql_type: CQL type of the column that carries the index.
@@ -60,7 +61,10 @@ class KeyPart:
         return None if raw is None else int.from_bytes(raw, "big", signed=True)
 
     def value(self, wire: bytes) -> bytes | None:
-        """Return the field of a message, encoded so that equal values have equal bytes."""
+        """Return the field of a message, encoded so that equal values have equal bytes.
+
+        None: a column cannot hold it (see WirePlan.picker), or it is NaN, which no value equals.
+        """
         raw = self._pick(wire)
         return None if raw is None else self._normal(raw)
 
@@ -99,6 +103,7 @@ class KeyPart:
             raise InvalidKey(f"{text!r:.80} is {what}") from exc
 
     def _encode(self, value: object) -> bytes | None:
+        """Encode a value as ``encode`` does, but not normalised; it raises what that catches."""
         column = self._column
         if column.is_list:
             texts = [_plain("text", text) for text in _elements(value)]
@@ -113,12 +118,16 @@ class KeyPart:
             raise
 
     def _normal(self, raw: bytes) -> bytes | None:
+        """Return encoded bytes so that equal values have equal ones; None for NaN."""
         is_float = self._column.kind == "float" and not self.digest
         return normal_float(self._column.cql_type, raw) if is_float else raw
 
 
 def _plain(kind: str, value: Any) -> Primitive:
-    """Return a given value as a Python value of a column's kind; raises what ``encode`` catches."""
+    """Return a given value as a Python value of a column's kind; times and durations as ns.
+
+    It raises what ``encode`` catches.
+    """
     if kind in ("bool", "text"):
         if not isinstance(value, bool if kind == "bool" else str):
             raise TypeError(value)
@@ -151,6 +160,7 @@ def _array(field_type: str, value: object) -> bytes | None:
 
 
 def _elements(value: Any) -> Iterator[Any]:
+    """Return an iterator over a list; TypeError: it is a text, or no list."""
     if isinstance(value, (str, bytes)):
         raise TypeError(value)
     return iter(value)

@@ -17,8 +17,11 @@ import rosgraph
 from cassandra_ros.errors import ConnectionFailed, InvalidOption
 
 TIMEOUT_SEC = 1.0
+"""Time limit of a call, s."""
 SILENT_SEC = 0.2
+"""Time limit of a call after one without an answer, s, so that many calls do not wait long."""
 PARAMETER_TIMEOUT_SEC = 10.0
+"""Time limit of setting a parameter, s: its value may be large."""
 
 _log = logging.getLogger(__name__)
 
@@ -26,7 +29,7 @@ _log = logging.getLogger(__name__)
 class MasterTransport(xmlrpc.client.Transport):
     """HTTP transport to a master. A call without an answer raises OSError after the time limit.
 
-    After such a failure the limit is shorter, until the master answers again.
+    After such a failure the limit is SILENT_SEC, until the master answers again.
     """
 
     def __init__(self, timeout_sec: float) -> None:
@@ -55,7 +58,10 @@ class MasterTransport(xmlrpc.client.Transport):
 
 
 def master_proxy(timeout_sec: float = TIMEOUT_SEC) -> Any:
-    """Return the master's API. A call without an answer raises an error after timeout_sec."""
+    """Return the master's API. A call without an answer raises OSError after timeout_sec.
+
+    A wrong answer raises xmlrpc.client.Error, HTTPException or ExpatError.
+    """
     transport = MasterTransport(timeout_sec)
     return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=transport)
 
@@ -66,7 +72,7 @@ def master_uri() -> str:
 
 
 def master_answers() -> bool:
-    """Return whether a ROS master answers within 1 s."""
+    """Return whether a ROS master answers within TIMEOUT_SEC."""
     try:
         master_proxy().getPid("/cassandra_ros")
     except (OSError, xmlrpc.client.Error, http.client.HTTPException, ExpatError) as exc:
@@ -78,8 +84,8 @@ def master_answers() -> bool:
 def topic_type(topic: str) -> str | None:
     """Ask the ROS master for the type of a topic. A missing leading slash is added.
 
-    Return 'pkg/Name', or None if no master answers within 1 s or the master does not know the
-    topic.
+    Return 'pkg/Name', or None if no master answers within TIMEOUT_SEC, or it does not know the
+    type.
     """
     uri = rosgraph.get_master_uri()
     name = topic if topic.startswith("/") else "/" + topic
@@ -102,8 +108,8 @@ def set_parameters(parameters: Iterable[tuple[str, object]]) -> int:
     """Set parameters, given by their full names, on the parameter server; return their number.
 
     Raises:
-        ConnectionFailed: No ROS master answers within 10 s, or it refuses a parameter. Parameters
-            that were set before stay set.
+        ConnectionFailed: No ROS master answers within PARAMETER_TIMEOUT_SEC, or it refuses a
+            parameter. Parameters that were set before stay set.
         InvalidOption: A value cannot be sent over XML-RPC.
     """
     uri, name, count = rosgraph.get_master_uri(), "", 0

@@ -11,7 +11,9 @@ from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, Specs
 
 MAX_DEPTH = 64
+"""Maximum nesting depth of messages."""
 MAX_FIXED_BYTES = 1 << 26
+"""Maximum of what a message takes at least, bytes: on the wire, and by OBJECT_BYTES in memory."""
 OBJECT_BYTES = 16
 """Bytes counted for each message in a fixed array: an empty message takes memory too."""
 MAX_LEAVES = 1 << 12
@@ -21,9 +23,14 @@ the nesting depth."""
 
 @dataclass(frozen=True)
 class _Shape:
+    """Depth and size of a type."""
+
     height: int
+    """Nesting depth of the messages in it; -1 for a primitive type."""
     leaves: int
+    """Number of fields, nested ones included; a nested message without fields counts as one."""
     least_bytes: int
+    """Minimum size on the wire, bytes."""
     objects: int
     """Number of messages in one such message, itself included; variable arrays count as empty."""
 
@@ -46,6 +53,10 @@ def object_counts(msg_type: str, specs: Specs) -> dict[str, int] | None:
 
 
 def _shape(name: str, specs: Specs, shapes: dict[str, _Shape], path: tuple[str, ...]) -> _Shape:
+    """Return the shape of a type and keep it in ``shapes``; DefinitionError: it is refused.
+
+    ``path``: the types that contain it.
+    """
     if name in shapes:
         return shapes[name]
     if name in path:

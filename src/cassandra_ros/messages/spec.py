@@ -39,6 +39,7 @@ PRIMITIVE_SIZES["string"] = 4
 """Size of a primitive value on the wire, bytes; for a string the size of its length prefix."""
 
 MAX_NAME = 255
+"""Maximum length of the name of a type, field or constant, characters."""
 
 _ALIASES = {"byte": "int8", "char": "uint8"}
 _NAME = "[A-Za-z][A-Za-z0-9_]*"
@@ -137,7 +138,7 @@ def parse_spec(msg_type: str, text: str) -> MessageSpec:
 
 
 def resolve_type(name: str, package: str) -> str:
-    """Return the full name of a message type that is mentioned in a definition of a package."""
+    """Return the full name of a message type as a definition of a package mentions it."""
     if name in ("Header", "roslib/Header"):  # in roslib until 2010
         return "std_msgs/Header"
     return name if "/" in name else f"{package}/{name}"
@@ -179,10 +180,11 @@ def _parse_field(code: str, package: str) -> Field:
 
 
 def _parse_constant(code: str, line: str) -> Constant:
+    """Parse ``type NAME=value``; ``code`` is the line without its comment."""
     type_ = code.split()[0].split("=")[0]
     if type_ not in PRIMITIVE_SIZES or type_ in ("time", "duration"):
         raise DefinitionError(f"{type_[:80]!r} is not the type of a constant")
-        # A string is the whole text right of the '=', including '#'.
+    # A string is the whole text right of the '=', including '#'.
     source = line if type_ == "string" else code
     left, _, right = source.partition("=")
     name = _check_name(left.strip()[len(type_) :].strip(), "constant")
@@ -191,6 +193,7 @@ def _parse_constant(code: str, line: str) -> Constant:
 
 
 def _literal(type_: str, text: str) -> int | float | bool | str:
+    """Return the value of a constant; DefinitionError: the text is not a literal of its type."""
     if type_ == "string":
         return text
     if type_ in ("float32", "float64"):

@@ -61,7 +61,7 @@ def seconds_to_ns(seconds: Any) -> int:
 
 
 def check_ns(ns: int, original: object = None) -> int:
-    """Return ns if ROS can express it, else raise InvalidKey."""
+    """Return ns since 1970 if ROS can express it, else raise InvalidKey; it shows ``original``."""
     if 0 <= ns <= MAX_NS:
         return ns
     what = f"{ns} ns" if original is None else repr(original)
@@ -72,6 +72,8 @@ def check_ns(ns: int, original: object = None) -> int:
 
 
 def _ordering(compare: Callable[[float, float], bool]) -> Callable[[Stamp, object], bool]:
+    """Return the method of a Stamp that compares its ns with what _comparable returns."""
+
     def method(self: Stamp, other: object) -> bool:
         limit = _comparable(other)
         return NotImplemented if limit is None else compare(self.ns, limit)
@@ -197,12 +199,17 @@ def _object_ns(value: Any) -> int | None:
 
 
 def _delta_ns(value: timedelta) -> int:
+    """Return the exact ns of a timedelta."""
     # A pandas.Timedelta has an extra attribute for ns.
     whole = (value.days * 86_400 + value.seconds) * 10**6 + value.microseconds
     return whole * 1000 + int(getattr(value, "nanoseconds", 0))
 
 
 def _numpy_ns(value: Any, unit: str) -> int:
+    """Return the ns of a time or length of numpy; InvalidKey: NaT, or ns cannot express it.
+
+    ``unit``: the type of the same kind with the unit ns.
+    """
     ns = value.astype(unit)
     if np.isnat(value) or ns.astype(value.dtype) != value:
         why = "the value is missing" if np.isnat(value) else "nanoseconds cannot express it"
@@ -230,7 +237,10 @@ def length_object_ns(value: Any) -> int | None:
 
 
 def _offset_ns(value: Any) -> int | None:
-    """Return the ns of a value that can be added to a stamp; None for other values."""
+    """Return the ns of a value that can be added to a stamp: a length, or a number of seconds.
+
+    None for other values; InvalidKey: as length_object_ns and seconds_to_ns.
+    """
     ns = length_object_ns(value)
     return seconds_to_ns(value) if ns is None and _is_number(value) else ns
 
@@ -245,7 +255,10 @@ def duration_ns(value: object) -> int:
 
 
 def _comparable(value: Any) -> int | float | None:
-    """Return the ns of a value that can be compared with a stamp; None for other values."""
+    """Return the ns of a value that can be compared with a stamp; None for other values.
+
+    A time, an int (ns) or another number (seconds), also an infinite one or NaN.
+    """
     ns = _object_ns(value)
     if ns is not None or not _is_number(value):
         return ns
@@ -312,6 +325,7 @@ def time_or_length(value: object) -> When:
 
 
 def _text_to_ns(text: str) -> int:
+    """Return the ns since 1970 of a text, see to_ns; it may be outside ROS time."""
     stripped = text.strip()
     if len(stripped) <= 40 and _DECIMAL.fullmatch(stripped):
         return seconds_to_ns(Decimal(stripped)) if "." in stripped else int(stripped)
@@ -328,6 +342,7 @@ def _text_to_ns(text: str) -> int:
 
 
 def _iso_to_ns(match: re.Match[str]) -> int:
+    """Return the ns since 1970 of a match of _ISO; ValueError: there is no such date or time."""
     day = datetime.strptime(match["date"], "%Y-%m-%d")
     hour, minute, second = (int(match[unit] or 0) for unit in ("hour", "minute", "second"))
     delta = day.replace(hour=hour, minute=minute, second=second) - _EPOCH

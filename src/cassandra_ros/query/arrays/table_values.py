@@ -188,7 +188,8 @@ class TableValues:
     def _indices_in(self, width: int) -> list[int] | None:
         """Return the index of each needed column in a row with ``width`` columns.
 
-        The width tells whether the row has all columns or the needed ones. None: it has others.
+        The width tells whether the row has all columns or the needed ones. None: it has others, or
+        the columns are not fields.
         """
         if not self._table.by_field:
             return None
@@ -201,7 +202,7 @@ class TableValues:
         return self._indices[width]
 
     def _clear(self) -> None:
-        """Begin a batch: one item of each list that its way of conversion uses is one row."""
+        """Begin a batch: what is known of the rows and blocks that are not converted yet."""
         self._numbers: list[int] = []
         self._own: list[RowIdentity] = []
         self._raws: list[Sequence[bytes | None]] = []
