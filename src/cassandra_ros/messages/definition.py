@@ -240,8 +240,8 @@ def definition_of(msg_class: Any) -> Definition:
 def installed_class(msg_type: str) -> Any | None:
     """Return the class of an installed message type, or None; DefinitionError: not a 'pkg/Name'.
 
-    None also if its module cannot be imported. The answer is kept: a type that is installed later is
-    not found. A type name comes from outside: a package is only imported if its folder has
+    None also if its module cannot be imported. The answer is kept: a type that is installed later
+    is not found. A type name comes from outside: a package is only imported if its folder has
     ``msg/_Name.py``.
     """
     package, name = check_type_name(msg_type).split("/")

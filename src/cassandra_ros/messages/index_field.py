@@ -113,7 +113,7 @@ def nearest_fields(field: str, able: Sequence[str]) -> str:
 
 
 def _is_nested(column: FieldColumn) -> bool:
-    """Return whether a column holds arrays inside an array of messages, or only a number of them."""
+    """Return whether a column holds arrays inside an array of messages, or only their number."""
     return column.kind == "wire" or (column.is_list and column.kind == "array")
 
 

@@ -53,6 +53,7 @@ def _refuse(name: str) -> None:
 
 
 def _float(text: str) -> float:
+    """Return a number of a text, as strict JSON has it: 1e999 is refused, not infinite."""
     value = float(text)
     if not isfinite(value):
         raise ValueError(f"{text[:80]} is out of range")
@@ -60,6 +61,7 @@ def _float(text: str) -> float:
 
 
 def _finite(value: object) -> object:
+    """Return a tree with None in place of infinite and NaN floats."""
     if isinstance(value, dict):
         return {name: _finite(inner) for name, inner in value.items()}
     if isinstance(value, list):

@@ -74,12 +74,18 @@ class ParsedFormat(TextFormat):
 
     @staticmethod
     def field_bytes(value: object) -> bytes:
-        """Return the bytes of uint8[] or char[] in a parsed text; raises ValueError, TypeError."""
+        """Return the bytes of uint8[] or char[] from the value that a parsed text has for them.
+
+        Raises ValueError or TypeError: the value means no bytes.
+        """
         return plain_bytes(value)
 
     @abstractmethod
     def is_faithful(self, text: str) -> bool:
-        """Return whether a text of print_tree certainly parses to the same tree."""
+        """Return whether a text of print_tree certainly parses to the same tree.
+
+        If it says so, the text is not parsed before it is stored.
+        """
 
     @abstractmethod
     def parse_own(self, text: str) -> object:
@@ -99,6 +105,7 @@ class ParsedFormat(TextFormat):
         return EncodedMessage((text.encode(),), not exact, None if exact else wire)
 
     def _is_exact(self, text: str, tree: MessageTree, wire: bytes) -> bool:
+        """Return whether the text of a tree gives back the bytes from which the tree was made."""
         try:
             return self._build(tree if self.is_faithful(text) else self.parse_own(text)) == wire
         except (CorruptMessage, RecursionError):

@@ -84,6 +84,7 @@ class _Dumper(yaml.CSafeDumper):
 
 
 def _list(dumper: _Dumper, values: Sequence[object]) -> Any:
+    """Write numbers (also bytes) in one line, messages and strings on lines of their own."""
     flow = not values or not isinstance(values[0], (dict, str))
     return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=flow)
 

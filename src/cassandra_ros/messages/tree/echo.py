@@ -20,6 +20,7 @@ from cassandra_ros.messages.tree.tree_reader import NUMBER_CODES, TIME_CODES, Me
 _Print = Callable[[Any, str], str]
 """(value of a field, indentation of its further lines) -> text after 'name: '."""
 _Lines = Callable[[MessageTree, str], List[str]]
+"""(tree of a message, indentation) -> its lines."""
 
 _CACHED = 128
 """Maximum length of a cached string, characters. Longer strings rarely repeat."""
@@ -42,6 +43,7 @@ class _EchoCompiler:
         self._memo: dict[str, _Lines] = {}
 
     def message(self, name: str) -> _Lines:
+        """Return the function for a message type, made once."""
         if name not in self._memo:
             spec = self._specs[name]
             fields = [(f"{attribute_name(f.name)}: ", f.name, self._field(f)) for f in spec.fields]
@@ -61,6 +63,7 @@ class _EchoCompiler:
         return lambda value, indent: _quote(value) if type(value) is str else show(value, indent)
 
     def _one(self, type_: str) -> _Print:
+        """Return the function for a single value, or an element of an array."""
         if type_ == "string":
             return lambda value, indent: _quote(value)
         if type_ in TIME_CODES:
@@ -89,6 +92,7 @@ class _EchoCompiler:
 
 
 def _strings(values: Sequence[str], indent: str) -> str:
+    """Print string[] as yaml writes a list, which quotes only texts that need it."""
     if not values:
         return "[]"
     items = (_item(v) if len(v) <= _CACHED else _item.__wrapped__(v) for v in values)
@@ -96,6 +100,7 @@ def _strings(values: Sequence[str], indent: str) -> str:
 
 
 def _quote(text: str) -> str:
+    """Print a string as yaml quotes it, without yaml where its answer is known."""
     if _PLAIN.fullmatch(text):
         return f'"{text}"'
     if not text:

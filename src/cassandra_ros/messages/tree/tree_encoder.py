@@ -32,7 +32,10 @@ _pack_length = struct.Struct("<I").pack
 
 
 def plain_bytes(value: object) -> bytes:
-    """Return the bytes of uint8[] or char[], given as bytes or as a list of numbers."""
+    """Return the bytes of uint8[] or char[], given as bytes or as a list of numbers.
+
+    Raises ValueError or TypeError: it is neither.
+    """
     if type(value) is bytes:
         return value
     values = _list(value, None)
@@ -73,6 +76,7 @@ class _EncoderCompiler:
         self._memo: dict[str, _ValueWriter] = {}
 
     def message(self, name: str) -> _ValueWriter:
+        """Return the function for a message type, made once."""
         if name not in self._memo:
             fields = self._specs[name].fields
             steps = [self._step(run, fixed) for run, fixed in number_runs(fields)]
@@ -86,6 +90,7 @@ class _EncoderCompiler:
         return self._memo[name]
 
     def _step(self, run: Sequence[Field], fixed: struct.Struct | None) -> _FieldsWriter:
+        """Return the function for what number_runs yields: a run of numbers, or another field."""
         if fixed is not None:
             return _numbers_step(run, fixed)
         name, write = run[0].name, self._field(run[0])
@@ -118,6 +123,7 @@ def _mapping(tree: object, count: int) -> dict[str, object]:
 
 
 def _check_bools(values: Sequence[object], bools: bool) -> None:
+    """Check that all values are bools, or that none is; else raise ValueError."""
     if bools:  # struct takes any object as a bool, and bools as numbers
         if not all(type(value) is bool for value in values):
             raise ValueError("a bool is neither true nor false")

@@ -110,7 +110,10 @@ class TreeReader:
             raise CorruptMessage(f"{len(wire)} bytes are no {self.type}: {exc}") from exc
 
     def _message(self, name: str) -> tuple[_MessageReader, int]:
-        """Return the reader of a message type and the minimum length of its text without arrays."""
+        """Return the reader of a message type and the minimum length of its text, made once.
+
+        Arrays and strings do not count: they are charged when they are read.
+        """
         if name not in self._memo:
             weight = 0
             steps: list[_FieldsReader] = []
@@ -133,6 +136,7 @@ class TreeReader:
         return self._memo[name]
 
     def _field(self, field: Field) -> tuple[_ValueReader, int]:
+        """Return the reader of a field and the minimum length of its text, as _message."""
         if field.is_array:
             return self._array(field), 0
         if field.type == "string":

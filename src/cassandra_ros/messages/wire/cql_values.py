@@ -20,6 +20,7 @@ from cassandra_ros.messages.wire.layout import FieldColumn, FixedField
 Primitive = Union[bool, int, float, str]
 """Python value of a column that is neither a list nor a blob; times are int nanoseconds."""
 Decoder = Callable[[bytes], Any]
+"""Function from an encoded column to its Python value."""
 
 CQL_CODES = {
     "boolean": ">?",
@@ -32,6 +33,7 @@ CQL_CODES = {
 }
 """struct codes of the CQL types of fixed size."""
 EMPTY_LIST = b"\0\0\0\0"
+"""The encoded list without elements."""
 _LOW = 0xFFFFFFFF
 
 _pack_size = struct.Struct(">i").pack

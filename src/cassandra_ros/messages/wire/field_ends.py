@@ -32,8 +32,8 @@ class _CountedField(NamedTuple):
 
 
 _FieldSizes = List[Union[int, _CountedField, Skip]]
-"""Sizes in bytes, and functions that find an end offset. These may return an offset after the end
-of the buffer."""
+"""Sizes of adjacent fields: bytes, counted fields, and functions that find an end offset. These may
+return an offset after the end of the buffer."""
 
 
 def short_buffer() -> struct.error:
@@ -96,6 +96,7 @@ def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], objec
 
 
 def _sizes_of(fields: Sequence[Field], specs: Specs) -> _FieldSizes:
+    """Return the sizes of fields; adjacent fixed sizes are added up."""
     sizes: _FieldSizes = []
     for field in fields:
         for size in _sizes_of_field(field, specs):
@@ -124,11 +125,13 @@ def _sizes_of_field(field: Field, specs: Specs) -> _FieldSizes:
 
 
 def _size(sizes: _FieldSizes) -> int | None:
+    """Return the sum of sizes in bytes; None if one is not fixed."""
     fixed = [size for size in sizes if isinstance(size, int)]
     return sum(fixed) if len(fixed) == len(sizes) else None
 
 
 def _chain(sizes: _FieldSizes) -> Skip:
+    """Return the function that skips adjacent fields and checks that the bytes reach so far."""
     if all(isinstance(size, (int, _CountedField)) for size in sizes):
         return _plain_chain(sizes)
     skips = [_skip_of(size) for size in sizes]
@@ -173,6 +176,7 @@ def _skip_of(size: int | _CountedField | Skip) -> Skip:
 
 
 def _skip_elements(element: _FieldSizes, length: int | None) -> Skip:
+    """Return the function that skips an array of elements of variable size; length: a fixed one."""
     # A single element function reads a count, which fails after the end of the bytes by itself. A
     # chain checks for the end.
     first = element[0]

@@ -37,14 +37,17 @@ class Wires:
         self.data = data
 
     def cut(self, ats: Offsets, size: int) -> ByteRows:
-        """Return ``size`` bytes from each offset on: (offsets, size)."""
+        """Return ``size`` bytes from each offset on: (offsets, size).
+
+        ValueError, IndexError: they would end after the buffer.
+        """
         views: NDArray[Any] = np.ndarray(
             (len(self.data) - size + 1,), f"V{size}", self.data, 0, (1,)
         )
         return views[ats].view(np.uint8).reshape(len(ats), size)
 
     def lengths(self, ats: Offsets) -> Offsets:
-        """Return the length of the string or array at each offset."""
+        """Return the length of the string or array at each offset; errors as in ``cut``."""
         views: NDArray[Any] = np.ndarray((len(self.data) - 3,), _U4, self.data, 0, (1,))
         return views[ats].astype(np.int64)
 
@@ -80,7 +83,8 @@ class ElementGroup(NamedTuple):
     ends: Offsets
     """Offset at which the message that contains it ends."""
     period: int
-    """Number of elements after which the sequence of elements repeats, if all arrays are alike."""
+    """Number of elements in each whole message, if all have the same number; else that of all. So
+    elements that are a multiple of it apart are at the same place in their messages."""
 
     def checked(self, ats: Offsets) -> Offsets:
         """Return the offsets if all lie within their messages; else raise CannotBatch."""
@@ -119,6 +123,7 @@ class FixedFields:
 
 
 def _scalar(type_: str, at: int) -> Callable[[ByteRows, int], Iterable[Any]]:
+    """Return the reader of a number at an offset in the fields: (their bytes, size) -> values."""
     if type_ == "bool":
         return lambda cells, size: (cells[:, at] != 0).tolist()
     dtype = np.dtype("<" + CODES[type_])
@@ -126,6 +131,7 @@ def _scalar(type_: str, at: int) -> Callable[[ByteRows, int], Iterable[Any]]:
 
 
 def _array(type_: str, code: str, at: int, length: int) -> Callable[[ByteRows, int], Iterable[Any]]:
+    """Return the reader of a fixed array at an offset, as _scalar."""
     unit = length * PRIMITIVE_SIZES[type_]
 
     def read(cells: ByteRows, size: int) -> Iterable[Any]:

@@ -68,7 +68,8 @@ class VariableField:
     """A field of variable size (or an array of messages), which ends a segment."""
 
     kind: str
-    """'bytes', 'text', 'texts', 'wire' or 'elements'."""
+    """'bytes' (an array of numbers), 'text', 'texts' (string[]), 'elements' (an array of messages
+    with a column for each of their fields) or 'wire' (any other array, see FieldColumn)."""
     skip: Skip
     """Function that finds the end of the field, its length prefix included."""
     columns: tuple[FieldColumn, ...]
@@ -115,7 +116,7 @@ _SCALARS = {
 def layout(
     msg_type: str, specs: Specs, prefix: str = "", inside: bool = False
 ) -> tuple[Segment, ...]:
-    """Return the segments of a checked message type, see _items."""
+    """Return the segments of a checked message type; ``prefix`` and ``inside`` as in _items."""
     segments: list[Segment] = []
     fixed: list[FixedField] = []
     for item in _items(msg_type, specs, prefix, inside):
@@ -172,6 +173,7 @@ def _fixed(name: str, field: Field) -> FixedField:
 def _array(
     name: str, field: Field, specs: Specs, inside: bool
 ) -> Iterator[FixedField | VariableField]:
+    """Yield an array field, or nothing if it has no bytes on the wire."""
     length, unit = field.length, fixed_size(field.type, specs)
     skip = compile_field_skip(field, specs)
     if length is not None and 0 in (length, unit):

@@ -179,6 +179,7 @@ class Layout:
         end: Size of the message, bytes.
         prefixes: Offsets of the bytes of all length prefixes.
         lengths: Bytes at these offsets.
+        weight: Number of length bytes and element offsets, see MAX_CACHED_WEIGHT.
     """
 
     def __init__(self, definition: Definition, wire: bytes, most: int) -> None:
@@ -231,6 +232,7 @@ class Layout:
         return at
 
     def _count(self, at: int) -> int:
+        """Record a length prefix and return the length; struct.error: too many, or bytes end."""
         self._length_offsets.append(at)
         if len(self._length_offsets) > self._most:
             raise struct.error("more lengths than are worth looking at")
@@ -238,6 +240,7 @@ class Layout:
         return int(count)
 
     def _strings(self, field: Field, path: str, at: int) -> int:
+        """Record a string or an array of strings; return the offset after it."""
         count = 1
         if field.is_array and field.length is None:
             count, at = self._count(at), at + 4
@@ -251,6 +254,7 @@ class Layout:
         return at
 
     def _array(self, field: Field, path: str, at: int) -> int:
+        """Record an array of numbers or messages; return the offset after it."""
         count = field.length
         if count is None:
             count, at = self._count(at), at + 4
@@ -312,9 +316,9 @@ class Head:
         return self._ats[path]
 
     def _message(self, msg_type: str, prefix: str, at: int) -> tuple[int, bool]:
-        """Record the offsets of a message's fields.
+        """Record the offsets of a message's fields of fixed offset.
 
-        Return the offset after, and whether all are fixed.
+        Return the offset after them, and whether these are all fields.
         """
         for field in self._specs[msg_type].fields:
             path, size = prefix + field.name, _size_of(field.type, self._specs)
@@ -335,6 +339,7 @@ class Head:
 
 
 def _size_of(type_: str, specs: Specs) -> int | None:
+    """Return the size of every value of a type, bytes; None if it varies, as of a string."""
     size = PRIMITIVE_SIZES.get(type_)
     return fixed_size(type_, specs) if size is None or type_ == "string" else size
 
@@ -366,7 +371,10 @@ class Stack(NamedTuple):
         return read_numbers(self.planes, np.concatenate([_NOWHERE, *parts]), base)
 
     def element(self, path: str, index: int, base: str) -> NumberArray:
-        """Return one element of an array of numbers that occurs once in a message."""
+        """Return one element of an array of numbers that occurs once in a message: (1, messages).
+
+        (0, messages) if the array is too short.
+        """
         arrays = self.layout.arrays.get(path, [])
         ats = [e.ats + index * PRIMITIVE_SIZES[base] for e in arrays if index < e.length]
         return read_numbers(self.planes, ats[0] if ats else _NOWHERE, base)
@@ -386,6 +394,8 @@ class Stack(NamedTuple):
 
 class Stacker:
     """Finds the layouts of messages of one type.
+
+    Threads share it: another thread may clear the cache meanwhile, which costs only time.
 
     Attributes:
         head: Offsets that all messages of the type share, whatever their size.

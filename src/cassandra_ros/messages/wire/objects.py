@@ -174,6 +174,7 @@ class _ElementReader:
 def _in_batches(
     objects: _ObjectPlan, columns: Sequence[FieldValues], count: int, most: int
 ) -> Iterator[list[Any]]:
+    """Yield ``count`` objects in lists of at most ``most``, but at least one."""
     for first in range(0, count, max(1, most)):
         yield objects.make(columns, min(count - first, max(1, most)))
 
@@ -214,6 +215,7 @@ class _ObjectCompiler:
         return _ObjectPlan(cls, slots)
 
     def _field(self, field: Field, steps: list[_FieldReader]) -> None:
+        """Append the step that reads a field, or add a field of fixed size to the last step."""
         if field.type == "string" and not field.is_array:
             steps.append(TextField())
         elif field.type not in _NUMBERS:
@@ -229,7 +231,7 @@ class _ObjectCompiler:
             last.add(field.type, field.length if field.is_array else None)
 
     def _class(self, type_: str) -> tuple[Any, Sequence[Field]]:
-        """Return the class and the fields of a type."""
+        """Return the class and the fields of a type; CannotBatch: it is not as genpy makes it."""
         if type_ in _STAMPS:
             cls, half = _STAMPS[type_]
             fields: Sequence[Field] = [Field("secs", half), Field("nsecs", half)]
@@ -261,6 +263,7 @@ class _ObjectCompiler:
 
 
 def _fixed(type_: str, specs: Specs) -> int | None:
+    """Return the size of an array's elements, bytes; None if it varies."""
     return PRIMITIVE_SIZES[type_] if type_ in _STAMPS else fixed_size(type_, specs)
 
 
@@ -313,6 +316,7 @@ class ObjectMaker:
         return map(self._canonical, objects) if self._stamps else objects
 
     def _canonical(self, message: Any) -> Any:
+        """Return a message whose own times have nsecs within a second."""
         # genpy makes the times in the message itself canonical, but not those in nested messages.
         for name in self._stamps:
             stamp = getattr(message, name)

@@ -34,12 +34,14 @@ class _TimeField(NamedTuple):
     to: int
     """Offset in the row, bytes."""
     code: str
+    """numpy type of its halves."""
 
 
 class _Value(NamedTuple):
     """A value of a column, or of an element of a list."""
 
     size: int
+    """Size in the row, bytes."""
     runs: tuple[tuple[int, int], ...]
     """Offset and number of its bytes in the message, run by run; offset -1 - byte is a constant."""
     stamp: tuple[int, str] | None = None
@@ -51,11 +53,17 @@ class NoPermutation(ValueError):
 
 
 class Permutation:
-    """Converts messages with the layout of a given one to rows: each column after its size.
+    """Converts messages with the layout of a given one to rows and back.
+
+    A row is its columns, each after its size.
 
     Attributes:
         wire_size: Size of a message, bytes.
         row_size: Size of its row, bytes.
+
+    Raises:
+        NoPermutation: The layout has none.
+        struct.error: The given message ends too early.
     """
 
     def __init__(self, segments: Sequence[Segment], wire: bytes) -> None:
@@ -63,9 +71,12 @@ class Permutation:
         self._runs: list[tuple[int, int]] = []
         """Ranges of source bytes of a row, in the message followed by the 256 byte constants."""
         self._size = self._value_count = 0
+        """Size of the row so far, bytes, and number of its values."""
         self._stamps: list[_TimeField] = []
         self._bools: list[int] = []
+        """Offsets of the bools in the message."""
         self._texts: list[tuple[int, int]] = []
+        """Offsets of the texts in the message, and those after them."""
         at = 0
         for segment in segments:
             at = self._segment(segment, at, None)
@@ -149,6 +160,7 @@ class Permutation:
         return at
 
     def _fixed(self, fixed: FixedField, at: int) -> _Value:
+        """Return the value of a field of fixed size: in a row the bytes of a number are reversed."""
         size = struct.calcsize("<" + fixed.little)
         if fixed.special == "uint64":
             raise NoPermutation  # a varint has no fixed size
@@ -163,6 +175,7 @@ class Permutation:
         return _Value(fixed.cql_size, (*zeros, *((at + size - 1 - n, 1) for n in range(size))))
 
     def _tail(self, tail: VariableField, at: int, out: list[_Value] | None) -> int:
+        """Add the columns of a variable field, as _segment; return the offset after it."""
         count, start = tail.length, at
         if tail.has_count:
             (count,) = _length(self._wire, at)
@@ -201,6 +214,7 @@ class Permutation:
         return _Value(size, ((at, size),))
 
     def _elements(self, tail: VariableField, count: int, at: int) -> int:
+        """Add the lists of an array of messages; return the offset after it."""
         if count * len(tail.columns) > MAX_VALUES:
             raise NoPermutation
         elements: list[list[_Value]] = []
@@ -214,12 +228,14 @@ class Permutation:
         return at
 
     def _list(self, values: Sequence[_Value]) -> None:
+        """Add a column that is a list."""
         size = 4 + sum(4 + value.size for value in values)
         self._constant(_pack_size(size) + _pack_size(len(values)))
         for value in values:
             self._column(value)
 
     def _column(self, value: _Value) -> None:
+        """Add a value after its size: a column, or an element of a list."""
         self._value_count += 1
         if self._value_count > MAX_VALUES:
             raise NoPermutation
@@ -235,6 +251,7 @@ class Permutation:
             self._add(-1 - byte, 1)
 
     def _add(self, first: int, length: int) -> None:
+        """Add a run of bytes to the row, see _Value.runs."""
         if first < 0:
             first = len(self._wire) - 1 - first
         self._runs.append((first, first + length))

@@ -40,6 +40,7 @@ MAX_LAYOUTS_TRIED = 8
 """Maximum number of layouts tried for rows of one size."""
 
 _Good = NDArray[np.bool_]
+"""For each message or row whether it was converted exactly."""
 
 
 class _WireSegment(NamedTuple):
@@ -52,7 +53,10 @@ class _WireSegment(NamedTuple):
     is_text: bool
 
     def convert(self, data: ByteArray, ats: Int64Array, back: bool) -> tuple[ByteArray, _Good, int]:
-        """Permute the fixed bytes at some offsets; return also the number of bytes read at each."""
+        """Permute the fixed bytes at some offsets; return also the number of bytes read at each.
+
+        ``back``: from rows to messages; so everywhere here.
+        """
         if self.permutation is None:
             return np.zeros((len(ats), 0), np.uint8), np.ones(len(ats), np.bool_), 0
         size = self.permutation.row_size if back else self.permutation.wire_size
@@ -103,6 +107,7 @@ class SegmentPermuter:
     def _convert(
         self, data: bytes, starts: Int64Array, ends: Int64Array, back: bool
     ) -> list[bytes | None]:
+        """Convert messages to rows or (back) rows to messages, segment by segment."""
         every, ats, good = np.frombuffer(data, np.uint8), starts, np.ones(len(starts), np.bool_)
         parts: list[list[bytes]] = []
         for segment in self._segments:
@@ -135,9 +140,12 @@ class SegmentPermuter:
 def _lengths(
     data: ByteArray, ats: Int64Array, unit: int, back: bool
 ) -> tuple[ByteArray, Int64Array, _Good]:
-    """Read the length prefixes at some offsets; return them converted, and the sizes in bytes.
+    """Read the length prefixes at some offsets.
 
     On the wire a length prefix counts elements, in a row bytes.
+
+    Returns:
+        The prefixes converted, the sizes of the variable fields in bytes, and which are possible.
     """
     lengths = np.ascontiguousarray(windows(data, 4)[ats])
     if back:
@@ -195,6 +203,7 @@ class Permuter:
         return all_rows
 
     def _permutation(self, stack: Stack) -> Permutation | None:
+        """Return the permutation of a stack's layout, made once; None = it has none."""
         key = len(stack.planes), stack.layout.lengths.tobytes()
         cache = self._cache  # another thread may replace the cache meanwhile
         if key in cache:
@@ -249,7 +258,13 @@ class Permuter:
         members: Int64Array,
         messages: list[bytes | None],
     ) -> None:
-        """Set the messages of rows of equal size."""
+        """Set the messages of rows of equal size, by the permutations of the layouts tried so far.
+
+        Args:
+            length: Size of each row, bytes.
+            members: Indices of these rows.
+            messages: Messages of all rows, of which some are set.
+        """
         key = length, int(sizes[members[0]])
         builders = self._row_cache.get(key, [])
         rows = windows(np.frombuffer(data, np.uint8), length)[starts[members]]
@@ -277,6 +292,7 @@ class Permuter:
         return permutation if fits else None
 
     def _keep(self, key: tuple[int, int], permutations: list[Permutation]) -> None:
+        """Cache the permutations for a row size and message size."""
         cache = self._row_cache  # another thread may replace the cache meanwhile
         if key not in cache and len(cache) >= MAX_CACHED:
             cache = self._row_cache = {}

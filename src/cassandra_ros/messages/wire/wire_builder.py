@@ -36,6 +36,7 @@ def compile_build(segments: Sequence[Segment], first: int = 0) -> list[BuildStep
 
 
 def _fixed(fixed: Sequence[FixedField], first: int) -> BuildStep:
+    """Return the step for adjacent fields of fixed size, whose columns begin at ``first``."""
     after = first + len(fixed)
     unpack = struct.Struct(">" + "".join(f.big for f in fixed)).unpack
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
@@ -63,6 +64,7 @@ def _fixed(fixed: Sequence[FixedField], first: int) -> BuildStep:
 
 
 def _tail(tail: VariableField, index: int) -> BuildStep:
+    """Return the step for a field of variable size, whose columns begin at ``index``."""
     if tail.kind in ("text", "bytes"):
         return _bytes(index, tail.unit)
     if tail.kind == "wire":

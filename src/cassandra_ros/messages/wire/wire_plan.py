@@ -45,6 +45,7 @@ _Head = Callable[[bytes, int, ColumnValues, List[int]], int]
 _Tail = Callable[[bytes, int, int, ColumnValues, List[int]], int]
 """(wire, offset, length, columns, marks) -> offset after the field."""
 WalkStep = Tuple[_Head, int, Optional[_Tail]]
+"""Head of a segment, size of what it reads in bytes, and tail; None = the segment has no tail."""
 
 _unpack_length = struct.Struct("<I").unpack_from
 
@@ -70,7 +71,11 @@ def compile_walk(
 def walk_message(
     steps: Sequence[WalkStep], wire: bytes, at: int, out: ColumnValues, odd: list[int]
 ) -> int:
-    """Append the columns of a message and the marks of inexact ones; return the offset after it."""
+    """Append the columns of a message and the marks of inexact ones; return the offset after it.
+
+    Any mark means that a column is inexact, whatever its number. The offset may lie after the end
+    of the bytes.
+    """
     for head, size, tail in steps:
         count = head(wire, at, out, odd)
         at += size
@@ -89,6 +94,7 @@ def _choose(fixed: Sequence[FixedField], names: Container[str]) -> tuple[list[Fi
 def _head(
     codes: struct.Struct, fields: Sequence[FixedField], has_length: bool, strict: bool
 ) -> _Head:
+    """Return the head that reads the wanted fields of a segment by ``codes``."""
     unpack = codes.unpack_from
     if not fields:  # a struct of padding only still checks that the bytes exist
         return lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
@@ -130,6 +136,7 @@ def _head(
 
 
 def _tail(tail: VariableField, strict: bool, names: Container[str]) -> _Tail:
+    """Return the tail for a variable field; it only skips a field of which no column is wanted."""
     skip, unit = tail.skip, tail.unit
     if not any(column.name in names for column in tail.columns):
         if tail.kind in ("text", "bytes"):
@@ -252,6 +259,7 @@ def _elements(field: VariableField, strict: bool, names: Container[str]) -> _Tai
 
 
 MAX_COLUMNS = 64
+"""Maximum number of columns of a table in format ``ros``."""
 
 
 class WirePlan:
@@ -289,7 +297,7 @@ class WirePlan:
         return [None] * len(self.columns) if out is None else out, odd
 
     def walk_scalars(self, wire: bytes) -> tuple[ColumnValues, bool]:
-        """Return the scalar columns of a large message; lists and arrays are None."""
+        """Return the columns like ``walk``, but lists and arrays as None: for a large message."""
         out, odd = _walk(self._scalar_steps, wire)
         columns: ColumnValues = [None] * len(self.columns)
         for i, column in zip(self._scalar_at, out or ()):

@@ -30,6 +30,7 @@ from cassandra_ros.messages.wire.message_stacks import (
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MAX_FIELDS = 64
+"""Maximum number of fields with bounds."""
 MAX_BOUND_TEXT_BYTES = 64
 """Maximum size of a text that is stored as the minimum or maximum of a block, bytes."""
 MAX_WALKED = 256
@@ -61,7 +62,7 @@ NO_ZONES = Zones((), (), False)
 
 
 class ZoneMap:
-    """Computes the bounds of the fields of one message type.
+    """Computes the bounds of the fields of one message type. Threads share it.
 
     Attributes:
         fields: Columns of format ``ros`` whose fields have bounds, by name: fields of one value,
@@ -85,7 +86,8 @@ class ZoneMap:
         self._by_head = all(name in self._stacker.head for name in self.fields)
         """Whether all fields have the same offsets in messages of all sizes."""
         self._few = True
-        """Whether no message that was measured alone had more than MAX_WALKED values."""
+        """Whether no message that was measured alone had more than MAX_WALKED values. It chooses the
+        faster way; both give the same bounds."""
         self._skip = compile_skip(definition.type, definition.specs)
         self._texts = [name for name, column in self.fields.items() if column.kind == "text"]
         self._numbers: dict[str, list[str]] = {}
@@ -108,6 +110,7 @@ class ZoneMap:
         zones: list[bytes | None] = []
         for name, encode in self._encoders:
             low, high = encode(candidates[name])
+            # For these texts no upper bound can be stored, so they may lie above any value.
             odd = odd or (high is None and bool(candidates[name]))
             zones += (low, high)
         return Zones(zones, tuple(sorted(nan)), odd)
@@ -183,6 +186,7 @@ def _ends(values: NumberArray) -> tuple[list[Any], list[Any], tuple[list[bool], 
 
 
 def _has_bounds(column: FieldColumn) -> bool:
+    """Return whether a field has one value in a message, or in an element of an array of them."""
     many = column.is_list and not column.array
     return not many and column.kind not in ("array", "wire")
 
@@ -203,6 +207,7 @@ def _ends_encoder(column: FieldColumn) -> Callable[[Sequence[Any]], _Ends]:
 
 
 def _text_ends(values: Sequence[str]) -> _Ends:
+    """Return an encoded text that is not greater than the texts, and one that is not less."""
     return (_below(min(values)), _above(max(values))) if values else (None, None)
 
 
@@ -221,6 +226,7 @@ def _above(text: str) -> bytes | None:
 
 
 def _head(raw: bytes) -> bytes:
+    """Return the beginning of an encoded text, cut between characters, with space for _LAST."""
     return raw[: MAX_BOUND_TEXT_BYTES - len(_LAST)].decode("utf-8", "ignore").encode("utf-8")
 
 
