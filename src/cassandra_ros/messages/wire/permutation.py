@@ -160,7 +160,7 @@ class Permutation:
         return at
 
     def _fixed(self, fixed: FixedField, at: int) -> _Value:
-        """Return the value of a field of fixed size: in a row the bytes of a number are reversed."""
+        """Return the value of a field of fixed size; a row has the bytes of a number reversed."""
         size = struct.calcsize("<" + fixed.little)
         if fixed.special == "uint64":
             raise NoPermutation  # a varint has no fixed size

@@ -86,8 +86,8 @@ class ZoneMap:
         self._by_head = all(name in self._stacker.head for name in self.fields)
         """Whether all fields have the same offsets in messages of all sizes."""
         self._few = True
-        """Whether no message that was measured alone had more than MAX_WALKED values. It chooses the
-        faster way; both give the same bounds."""
+        """Whether no message that was measured alone had more than MAX_WALKED values. It only
+        chooses the faster way, so threads need no lock for it."""
         self._skip = compile_skip(definition.type, definition.specs)
         self._texts = [name for name, column in self.fields.items() if column.kind == "text"]
         self._numbers: dict[str, list[str]] = {}
