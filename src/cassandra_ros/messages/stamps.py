@@ -201,8 +201,8 @@ def _object_ns(value: Any) -> int | None:
 def _delta_ns(value: timedelta) -> int:
     """Return the exact ns of a timedelta."""
     # A pandas.Timedelta has an extra attribute for ns.
-    whole = (value.days * 86_400 + value.seconds) * 10**6 + value.microseconds
-    return whole * 1000 + int(getattr(value, "nanoseconds", 0))
+    us = (value.days * 86_400 + value.seconds) * 10**6 + value.microseconds
+    return us * 1000 + int(getattr(value, "nanoseconds", 0))
 
 
 def _numpy_ns(value: Any, unit: str) -> int:
@@ -365,9 +365,10 @@ def written_time_ns(text: str) -> int:
     Raises:
         InvalidKey: The text is not a time, or outside 1970 to 2106. The error text lists the forms.
     """
-    whole = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
+    digits = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
     try:
-        return to_ns(Decimal(whole[1]) if whole and int(whole[1]) < SECONDS_BELOW else text)
+        # to_ns takes a Decimal as seconds, a text of digits as ns.
+        return to_ns(Decimal(digits[1]) if digits and int(digits[1]) < SECONDS_BELOW else text)
     except InvalidKey as exc:
         raise InvalidKey(
             f"{text[:80]!r} is not a time of ROS: write seconds since 1970 (1368021980 or "

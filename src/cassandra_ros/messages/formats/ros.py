@@ -68,6 +68,9 @@ class CassandraTopic_ros(CassandraTopic_):
         A field without a CQL type has no column; only ``_raw`` holds it.
         """
         types = self.getColValidationClasses()
-        keys, every = ("name", "cql", "field", "type", "array"), self.plan.all_columns
-        rows = [(c.name, types.get(c.name), c.name, c.field_type, c.array) for c in every]
+        keys = ("name", "cql", "field", "type", "array")
+        rows = [
+            (c.name, types.get(c.name), c.name, c.field_type, c.array)
+            for c in self.plan.all_columns
+        ]
         return [dict(zip(keys, row)) for row in rows]

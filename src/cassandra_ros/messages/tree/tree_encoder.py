@@ -132,6 +132,7 @@ def _check_bools(values: Sequence[object], bools: bool) -> None:
 
 
 def _numbers_step(run: Sequence[Field], fixed: struct.Struct) -> _FieldsWriter:
+    """Return the function for adjacent numbers, or adjacent bools, see number_runs."""
     pick = itemgetter(*[field.name for field in run])
     pack, single, bools = fixed.pack, len(run) == 1, run[0].type == "bool"
 

@@ -146,6 +146,7 @@ class TreeReader:
         return self._message(field.type)
 
     def _array(self, field: Field) -> _ValueReader:
+        """Return the reader of an array; in place of one that is too long it gives a text."""
         length, skip = field.length, compile_field_skip(field, self._specs)
         if field.base in NUMBER_CODES:
             weight, read_elements = 0 if field.base == "uint8" else _NUMBER, _number_elements(field)
@@ -190,6 +191,7 @@ def _field_step(name: str, read: _ValueReader) -> _FieldsReader:
 
 
 def _string(wire: bytes, at: int, budget: Budget) -> tuple[TreeValue, int]:
+    """Read a string, or a text in place of one that is too long; it is a _ValueReader."""
     (size,) = _length(wire, at)
     at += 4
     end = at + size

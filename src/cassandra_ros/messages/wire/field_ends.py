@@ -108,6 +108,7 @@ def _sizes_of(fields: Sequence[Field], specs: Specs) -> _FieldSizes:
 
 
 def _sizes_of_field(field: Field, specs: Specs) -> _FieldSizes:
+    """Return the sizes of a field; of a message those of its fields."""
     if field.type == "string":
         element: _FieldSizes = [_CountedField(1)]
     elif field.is_primitive:

@@ -387,8 +387,8 @@ class Stack(NamedTuple):
             if (rows == rows[:, :1]).all():
                 texts[rows[:, 0].tobytes()] = None
             else:
-                every = rows.T.tobytes()
-                texts.update(dict.fromkeys(every[n : n + size] for n in range(0, len(every), size)))
+                data = rows.T.tobytes()
+                texts.update(dict.fromkeys(data[n : n + size] for n in range(0, len(data), size)))
         return list(texts)
 
 

@@ -208,6 +208,7 @@ class Permutation:
         return at
 
     def _text(self, at: int, size: int) -> _Value:
+        """Return the value of a text, which ``rows`` checks to be ASCII, so that it is UTF-8."""
         if at + size > len(self._wire):
             raise NoPermutation
         self._texts.append((at, at + size))

@@ -108,7 +108,7 @@ class SegmentPermuter:
         self, data: bytes, starts: Int64Array, ends: Int64Array, back: bool
     ) -> list[bytes | None]:
         """Convert messages to rows or (back) rows to messages, segment by segment."""
-        every, ats, good = np.frombuffer(data, np.uint8), starts, np.ones(len(starts), np.bool_)
+        buffer, ats, good = np.frombuffer(data, np.uint8), starts, np.ones(len(starts), np.bool_)
         parts: list[list[bytes]] = []
         for segment in self._segments:
             good &= ats + segment.size(back) <= ends
@@ -116,11 +116,11 @@ class SegmentPermuter:
                 return [None] * len(starts)
             # A malformed message is not read further, but keeps its index.
             ats = np.where(good, ats, ats[good][0])
-            converted, fine, size = segment.convert(every, ats, back)
+            converted, fine, size = segment.convert(buffer, ats, back)
             good &= fine
             ats = ats + size
             if segment.unit:
-                prefixes, sizes, fine = _lengths(every, ats, segment.unit, back)
+                prefixes, sizes, fine = _lengths(buffer, ats, segment.unit, back)
                 good &= fine
                 converted = np.concatenate((converted, prefixes), axis=1)
                 froms = ats + 4
@@ -196,10 +196,10 @@ class Permuter:
                 if permutation is None or len(stack.members) < MIN_ROWS:
                     continue
                 rows, good = permutation.rows(np.ascontiguousarray(stack.planes.T))
-                every = zip(stack.members.tolist(), split_rows(rows), good.tolist())
-                for at, row, fine in every:
-                    if fine:
-                        all_rows[at] = row
+                converted = zip(stack.members.tolist(), split_rows(rows), good.tolist())
+                for n, row, is_good in converted:
+                    if is_good:
+                        all_rows[n] = row
         return all_rows
 
     def _permutation(self, stack: Stack) -> Permutation | None:
@@ -215,6 +215,7 @@ class Permuter:
         return permutation
 
     def _make(self, wire: bytes) -> Permutation | None:
+        """Return the permutation for the layout of a message; None = it has none."""
         try:
             return Permutation(self._segments, wire)
         except (NoPermutation, struct.error):

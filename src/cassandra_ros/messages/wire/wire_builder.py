@@ -77,6 +77,8 @@ def _tail(tail: VariableField, index: int) -> BuildStep:
 
 
 def _bytes(index: int, unit: int) -> BuildStep:
+    """Return the step for a text or an array of numbers, whose length prefix counts ``unit``."""
+
     def step(columns: EncodedColumns, parts: list[bytes]) -> None:
         data = columns[index]
         count, rest = divmod(len(data), unit)
@@ -88,6 +90,8 @@ def _bytes(index: int, unit: int) -> BuildStep:
 
 
 def _texts(index: int, length: int | None) -> BuildStep:
+    """Return the step for string[]; length: of a fixed array, which has no length prefix."""
+
     def step(columns: EncodedColumns, parts: list[bytes]) -> None:
         texts = split_list(columns[index])
         if length not in (None, len(texts)):

@@ -157,6 +157,7 @@ def _tail(tail: VariableField, strict: bool, names: Container[str]) -> _Tail:
 
 
 def _text(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+    """Append a text; it is the _Tail for a strict walk."""
     end = at + count
     text = wire[at:end]
     if _is_utf8(text):
@@ -178,6 +179,8 @@ def _is_utf8(text: bytes) -> bool:
 
 
 def _bytes(unit: int) -> _Tail:
+    """Return the tail for an array of numbers, or a text that need not be UTF-8."""
+
     def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         end = at + count * unit
         out.append(wire[at:end])
@@ -187,6 +190,8 @@ def _bytes(unit: int) -> _Tail:
 
 
 def _wire(skip: Skip) -> _Tail:
+    """Return the tail for a field whose column is all of its bytes."""
+
     def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         end = skip(wire, at)
         out.append(wire[at:end])
@@ -196,6 +201,8 @@ def _wire(skip: Skip) -> _Tail:
 
 
 def _texts(length: int | None, strict: bool) -> _Tail:
+    """Return the tail for string[]; length: of a fixed array."""
+
     def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         texts = []
         for _ in range(count if length is None else length):

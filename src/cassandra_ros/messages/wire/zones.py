@@ -212,11 +212,13 @@ def _text_ends(values: Sequence[str]) -> _Ends:
 
 
 def _below(text: str) -> bytes:
+    """Return a text of at most MAX_BOUND_TEXT_BYTES that is not greater, encoded."""
     raw = text.encode("utf-8")
     return raw if len(raw) <= MAX_BOUND_TEXT_BYTES else _head(raw)
 
 
 def _above(text: str) -> bytes | None:
+    """Return a text of at most MAX_BOUND_TEXT_BYTES that is not less, encoded; None = no such."""
     raw = text.encode("utf-8")
     if len(raw) <= MAX_BOUND_TEXT_BYTES:
         return raw

@@ -123,8 +123,8 @@ class ArrowSchema:
         """Return whether few of the fields of a table's messages are read."""
         if table.name not in self._reads_few:
             count = count_leaves(self.of_table(table))
-            every = count_leaves(self._fields(table, None))
-            self._reads_few[table.name] = count <= FEW_FIELDS and 2 * count <= every
+            total = count_leaves(self._fields(table, None))
+            self._reads_few[table.name] = count <= FEW_FIELDS and 2 * count <= total
         return self._reads_few[table.name]
 
     def of_table(self, table: Table) -> tuple[ArrowField, ...]:

@@ -142,11 +142,12 @@ def fields_of(
     """
     if definition is None:
         return ()
-    every = _fields(definition.type, definition.specs, "", names or ColumnNames())
-    return tuple(every if wanted is None else _prune(every, wanted))
+    all_fields = _fields(definition.type, definition.specs, "", names or ColumnNames())
+    return tuple(all_fields if wanted is None else _prune(all_fields, wanted))
 
 
 def _fields(msg_type: str, specs: Specs, prefix: str, names: ColumnNames) -> list[ArrowField]:
+    """Return the fields with columns of the message at path ``prefix`` ('' or 'a.b.')."""
     columns: list[ArrowField] = []
     for field in specs[msg_type].fields:
         path, children = prefix + field.name, []

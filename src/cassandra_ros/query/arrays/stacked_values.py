@@ -111,12 +111,12 @@ def join_blocks(blocks: Sequence[MessageBlock], apart: int | None = None) -> Siz
             else:
                 groups.setdefault(len(planes), []).append((members + first, planes))
         first += len(block.times)
-    for parts in groups.values():
-        if len(parts) == 1:
-            yield parts[0]
+    for pairs in groups.values():
+        if len(pairs) == 1:
+            yield pairs[0]
         else:
-            indices = np.concatenate([members for members, _ in parts])
-            yield indices, _join([planes for _, planes in parts], len(indices))
+            indices = np.concatenate([members for members, _ in pairs])
+            yield indices, _join([planes for _, planes in pairs], len(indices))
 
 
 def _join(groups: Sequence[Planes], count: int) -> ByteArray:

@@ -155,10 +155,10 @@ class TableValues:
     @property
     def needed(self) -> Sequence[str]:
         """Columns of the table that must be read, in the table's order."""
-        every = self._table.columns
-        if not self._by_column or not set(self._names) <= set(every):
-            return every
-        return [name for name in every if name in self._names]
+        table_columns = self._table.columns
+        if not self._by_column or not set(self._names) <= set(table_columns):
+            return table_columns
+        return [name for name in table_columns if name in self._names]
 
     def _read(self, row: Row) -> Sequence[bytes | None] | None:
         """Return the needed columns of a row, each None if the message is unreadable.
@@ -260,8 +260,8 @@ class TableValues:
             if isinstance(exc, CassandraRosError):
                 raise
             raise CorruptMessage(f"a column of a row is malformed: {exc}") from exc
-        for parts, chunk in zip(self._chunks, chunks):
-            parts.append(chunk)
+        for output_chunks, chunk in zip(self._chunks, chunks):
+            output_chunks.append(chunk)
         self._clear()
 
     def _all_at_once(self) -> list[ColumnArray]:

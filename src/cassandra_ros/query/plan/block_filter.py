@@ -170,6 +170,7 @@ def _leaf_test(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Tes
 def _quantifier_test(
     leaf: Quantified, definition: Definition, refs: list[FieldRef]
 ) -> _Test | None:
+    """Compile ANY or ALL with one test of constants; None for any other."""
     if len(leaf.tests) != 1 or leaf.negated:
         return None
     ((operator, value),) = leaf.tests
@@ -268,7 +269,7 @@ def _text_mask(ref: FieldRef, operator: str, values: Sequence[str]) -> _Mask | N
     if any("\N{REPLACEMENT CHARACTER}" in value for value in values):
         return None
     # Texts that were read contain no surrogates.
-    raws = {v.encode("utf-8") for v in values if v.isascii() or _is_utf8(v)}
+    raws = {v.encode("utf-8") for v in values if v.isascii() or _has_utf8(v)}
     where: slice = chosen
 
     def test(stack: Stack) -> Mask:
@@ -283,7 +284,7 @@ def _text_mask(ref: FieldRef, operator: str, values: Sequence[str]) -> _Mask | N
     return test
 
 
-def _is_utf8(text: str) -> bool:
+def _has_utf8(text: str) -> bool:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
@@ -294,16 +295,28 @@ def _is_utf8(text: str) -> bool:
 def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
     """Compile a comparison (not =) of numbers of a type that is exact, like Python's."""
     below, above = _neighbours(dtype, value)
-    none, every = (lambda x: np.zeros(x.shape, np.bool_)), (lambda x: np.ones(x.shape, np.bool_))
     if value != value:
-        return every if operator == "!=" else none
+        return _all_true if operator == "!=" else _all_false
     if operator == "!=":
-        return every if below is None or below != above else lambda x: x != below
+        return _all_true if below is None or below != above else lambda x: x != below
+    # A value between two numbers of the type equals none of them, so the neighbour itself passes.
+    # NaN never does.
     closed = operator in ("<=", ">=") or below is None or above is None or below != above
     if operator in ("<", "<="):
-        # Numbers less than the value are less than its upper neighbour; NaN is not.
-        return none if below is None else (lambda x: x <= below) if closed else lambda x: x < below
-    return none if above is None else (lambda x: x >= above) if closed else lambda x: x > above
+        if below is None:
+            return _all_false
+        return (lambda x: x <= below) if closed else lambda x: x < below
+    if above is None:
+        return _all_false
+    return (lambda x: x >= above) if closed else lambda x: x > above
+
+
+def _all_true(numbers: NumberArray) -> Mask:
+    return np.ones(numbers.shape, np.bool_)
+
+
+def _all_false(numbers: NumberArray) -> Mask:
+    return np.zeros(numbers.shape, np.bool_)
 
 
 def _one_of(dtype: np.dtype[Any], values: Sequence[Any]) -> _Compare:

@@ -235,6 +235,7 @@ class _ReadScope(NamedTuple):
 
 
 def _with_stays(item: Expression, scope: _ReadScope) -> Expression:
+    """Return a condition with its times, see with_stays; it raises StatementError."""
     if isinstance(item, TIMED):
         return _with_stays_of(item, scope)
     if isinstance(item, Negation):
@@ -330,6 +331,7 @@ def _radius(literal: Literal) -> float:
 
 
 def _number(name: str, unit: str, literal: Literal) -> float:
+    """Return a finite number; StatementError, which shows name and unit: it is none."""
     value = literal.value
     if isinstance(value, Real) and not isinstance(value, (bool, DurationNs, TimeNs)):
         try:

@@ -113,6 +113,7 @@ def span_of(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
 
 
 def _equal(column: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
+    """Return the ways in which one of the values can be in a column, or among its elements."""
     ways: dict[Terms, None] = {}
     for value in values:
         raws = _exact(column, value)
@@ -591,6 +592,7 @@ def _ways(
 
 
 def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comparable]) -> Ways:
+    """Return the ways for the blocks of a packed table, as _ways."""
     column = None if table.definition is None else _zone_columns(table.definition).get(ref.column)
     if column is None:
         return None

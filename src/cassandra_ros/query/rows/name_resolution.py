@@ -601,6 +601,7 @@ class NameResolver:
     def _fit_literal(
         self, leaf: Comparison, column: ResultColumn, literal: Literal
     ) -> Comparable | None:
+        """Convert a literal for comparison with a column; an error is recorded, and gives None."""
         try:
             value = _fit(column, leaf, literal)
         except StatementError as exc:

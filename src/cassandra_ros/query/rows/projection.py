@@ -182,6 +182,7 @@ class Extractor:
         return self._read(row.wire)
 
     def _unnest(self, level: int, values: FieldValueList) -> Iterator[FieldValueList]:
+        """Yield the values of the elements inside those of a level; it changes the list."""
         for n, get in self._conversions[level]:
             values[n] = get(values[n])
         if level == self._depth:
@@ -189,10 +190,10 @@ class Extractor:
             return
         inner = self._inner[level]
         for element in range(min([_count(values[n]) for n in inner], default=0)):
-            one = list(values)
+            element_values = list(values)
             for n in inner:
-                one[n] = values[n][element]
-            yield from self._unnest(level + 1, one)
+                element_values[n] = values[n][element]
+            yield from self._unnest(level + 1, element_values)
 
 
 extractor_of = lru_cache(maxsize=256)(Extractor)
@@ -252,6 +253,8 @@ def _inside(name: str, then: Get) -> Get:
 
 
 def _each(then: Get) -> Get:
+    """Return the function from a list to what ``then`` makes of each element."""
+
     def get(value: Any) -> object:
         if isinstance(value, int):
             return []  # only the number of messages without bytes is stored
@@ -261,6 +264,8 @@ def _each(then: Get) -> Get:
 
 
 def _at(index: int, then: Get) -> Get:
+    """Return the function from a list to what ``then`` makes of one element; None = too short."""
+
     def get(value: Any) -> object:
         if value is None or isinstance(value, int) or index >= len(value):
             return None
@@ -655,6 +660,7 @@ def _fills(fields: Sequence[_FieldPlace], checked: Container[int]) -> tuple[_Fil
 
 
 def _compile_fill(fields: Sequence[_FieldPlace]) -> _Fill:
+    """Return the function that sets these fields; numbers of fixed size together."""
     numbers = [f for f in fields if f[2].code]
     if len(numbers) < 2:  # itemgetter returns a tuple only for two and more
         numbers = []

@@ -141,6 +141,7 @@ def fold(call: Call) -> Literal | Call:
 
 
 def _constant(literal: Literal) -> Computed:
+    """Compile a bound literal; StatementError: nothing can be computed of its value."""
     value, kind = literal.value, ""
     length = length_ns(value)
     if length is not None:
@@ -232,6 +233,7 @@ def _number(compute: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
 
 
 def _float(value: Any) -> float:
+    """Return a number as a float; an integer beyond all floats is infinite."""
     try:
         return float(value)
     except OverflowError:

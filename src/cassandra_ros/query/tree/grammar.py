@@ -134,9 +134,9 @@ class _Terms(Transformer):  # type: ignore[type-arg]
         if isinstance(argument, Token) and function == "count":
             return Call(function, (), at)
         if argument is None or isinstance(argument, Token):
-            spot = at if argument is None else _at(argument)
+            position = at if argument is None else _at(argument)
             reason = f"{function} takes one {'duration' if function == 'time' else 'field'}"
-            raise StatementError(spot, f"{reason}; only count takes *")
+            raise StatementError(position, f"{reason}; only count takes *")
         arguments = (KeyOperand(at), argument) if function == "time" else (argument,)
         if function in QUANTIFIERS and not isinstance(argument, FieldPath):
             reason = f"{word.upper()} takes an array, not {_row_term(argument).text}"

@@ -153,8 +153,8 @@ def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
 
 def _limit(text: str, most: Literal) -> int:
     """Return the value of a bound LIMIT; InvalidQuery: it is not a number of rows."""
-    whole = isinstance(most.value, Integral) and not isinstance(most.value, bool)
-    if not whole or not 1 <= most.value <= MAX_LIMIT:
+    is_whole = isinstance(most.value, Integral) and not isinstance(most.value, bool)
+    if not is_whole or not 1 <= most.value <= MAX_LIMIT:
         reason = f"LIMIT takes a whole number of at least 1 and at most {MAX_LIMIT}"
         raise InvalidQuery(text, most.position, reason)
     return int(most.value)

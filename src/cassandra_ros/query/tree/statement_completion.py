@@ -131,6 +131,7 @@ def _begin(before: str) -> int:
 
 
 def _fits(offer: Offer, word: str) -> bool:
+    """Return whether an offer may be what the word, in lower case, begins or is a part of."""
     if not word:
         return True
     text = offer.text.lower()
@@ -168,6 +169,7 @@ def _tokens(before: str) -> tuple[set[str], Sequence[Token]] | None:
 def _offers(
     accepted: set[str], previous: Sequence[Token], text: str, source: NameSource
 ) -> Sequence[Offer]:
+    """Return all that may follow the tokens before the word at the cursor, whatever the word."""
     offers: list[Offer] = []
     if "TOPIC" in accepted:
         offers += [Offer(_topic(name), "topic") for name in source.topics()]
