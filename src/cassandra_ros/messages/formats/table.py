@@ -8,7 +8,6 @@ program that only shows the names, as its help does, needs no numpy.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -27,11 +26,6 @@ def format_class(name: str) -> type[CassandraTopic_]:
     if not isinstance(name, str) or name not in FORMAT_NAMES:
         formats = ", ".join(FORMAT_NAMES)
         raise UnknownFormat(f"there is no format {name!r:.80}; formats are: {formats}")
-    return _class_of(name)
-
-
-@lru_cache(maxsize=len(FORMAT_NAMES))
-def _class_of(name: str) -> type[CassandraTopic_]:
     cls: type[CassandraTopic_] = getattr(
         import_module(f"cassandra_ros.messages.formats.{name}"), f"CassandraTopic_{name}"
     )

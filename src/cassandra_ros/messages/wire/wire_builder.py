@@ -22,9 +22,10 @@ BUILD_ERRORS = (struct.error, TypeError, ValueError, OverflowError, IndexError)
 _pack_length = struct.Struct("<I").pack
 
 
-def compile_build(segments: Sequence[Segment], first: int = 0) -> list[BuildStep]:
-    """Return the steps that build a message from the columns of a type, beginning at ``first``."""
+def compile_build(segments: Sequence[Segment]) -> list[BuildStep]:
+    """Return the steps that build a message from its columns."""
     steps: list[BuildStep] = []
+    first = 0  # index of the next segment's first column
     for fixed, tail in segments:
         if fixed:
             steps.append(_fixed(fixed, first))

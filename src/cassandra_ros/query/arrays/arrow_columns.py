@@ -154,14 +154,7 @@ class _ArrayMaker:
         base = field.field.base
         if base == "string":
             return self._texts(field, stacks, size, validity)
-        return self._numbers(kind, _numbers(field, stacks, size), validity)
-
-    def _numbers(self, kind: Any, values: AnyArray, validity: Any = None) -> pyarrow.Array:
-        size = len(values)
-        if values.dtype == bool:
-            values = np.packbits(values, bitorder="little")
-        buffer = self._arrow.py_buffer(np.ascontiguousarray(values))
-        return self._arrow.Array.from_buffers(kind, size, [validity, buffer])
+        return number_array(self._arrow, kind, _numbers(field, stacks, size), validity)
 
     def _list(
         self, field: ArrowField, stacks: Sequence[_StackSlots], size: int, validity: Any
@@ -182,7 +175,7 @@ class _ArrayMaker:
             if field.is_bytes:
                 buffers = [validity, ends, self._arrow.py_buffer(flat)]
                 return self._arrow.Array.from_buffers(kind, size, buffers)
-            values = self._numbers(kind.value_type, flat)
+            values = number_array(self._arrow, kind.value_type, flat)
         return self._arrow.Array.from_buffers(kind, size, [validity, ends], children=[values])
 
     def _texts(
@@ -200,6 +193,15 @@ class _ArrayMaker:
 
     def _offset_buffer(self, offsets: Int64Array) -> Any:
         return self._arrow.py_buffer(offsets.astype(np.int32))
+
+
+def number_array(arrow: Any, kind: Any, values: AnyArray, validity: Any = None) -> pyarrow.Array:
+    """Return numbers, bools or times as an array of Arrow of a type that has their encoding."""
+    size = len(values)
+    if arrow.types.is_boolean(kind):
+        values = np.packbits(values != 0, bitorder="little")
+    buffer = arrow.py_buffer(np.ascontiguousarray(values))
+    return arrow.Array.from_buffers(kind, size, [validity, buffer])
 
 
 def _numbers(field: ArrowField, stacks: Sequence[_StackSlots], size: int) -> AnyArray:

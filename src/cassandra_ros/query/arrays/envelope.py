@@ -215,15 +215,3 @@ def finite(values: AnyArray) -> AnyArray:
     """Return numbers with NaN in place of infinities."""
     infinite = np.isinf(values)
     return np.where(infinite, np.nan, values) if infinite.any() else values
-
-
-def breaks(times: AnyArray) -> AnyArray:
-    """Return the indices of the messages after which a long pause follows.
-
-    Args:
-        times: Times of the messages, ascending, ns.
-    """
-    pauses = np.diff(times)
-    if len(pauses) < 2:
-        return np.zeros(0, np.int64)
-    return np.flatnonzero(pauses > GAP_INTERVALS * np.median(pauses))

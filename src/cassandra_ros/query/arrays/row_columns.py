@@ -14,6 +14,7 @@ import numpy as np
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.query.arrays.array_types import AnyArray
+from cassandra_ros.query.arrays.arrow_columns import number_array
 from cassandra_ros.query.arrays.arrow_types import ArrowField
 from cassandra_ros.query.arrays.column_values import BIG_ENDIAN, as_uint64, join_fixed, numbers_of
 from cassandra_ros.query.protocols import Row, Table
@@ -102,9 +103,9 @@ class RowColumns:
             sizes = np.fromiter(map(len, values), np.int64, count)
             return self._pieces(field, kind, data, sizes)
         if field.field.base == "uint64":
-            return self._numbers(kind, as_uint64(values))
+            return number_array(arrow, kind, as_uint64(values))
         numbers = join_fixed(values, np.dtype(BIG_ENDIAN[column.cql_type]))
-        return self._numbers(kind, numbers.astype(kind.to_pandas_dtype()))
+        return number_array(arrow, kind, numbers.astype(kind.to_pandas_dtype()))
 
     def _pieces(self, field: ArrowField, kind: Any, data: AnyArray, sizes: Any) -> pyarrow.Array:
         """Return texts, bytes or arrays of numbers out of all their bytes, of these sizes."""
@@ -116,15 +117,8 @@ class RowColumns:
         offsets = arrow.py_buffer(ends.astype(np.int32))
         if is_plain:
             return arrow.Array.from_buffers(kind, count, [None, offsets, arrow.py_buffer(data)])
-        children = [self._numbers(kind.value_type, numbers)]
+        children = [number_array(arrow, kind.value_type, numbers)]
         return arrow.Array.from_buffers(kind, count, [None, offsets], children=children)
-
-    def _numbers(self, kind: Any, values: AnyArray) -> pyarrow.Array:
-        size = len(values)
-        if self._arrow.types.is_boolean(kind):
-            values = np.packbits(values != 0, bitorder="little")
-        buffer = self._arrow.py_buffer(np.ascontiguousarray(values))
-        return self._arrow.Array.from_buffers(kind, size, [None, buffer])
 
 
 def _leaves(fields: Sequence[ArrowField]) -> Iterator[str | None]:

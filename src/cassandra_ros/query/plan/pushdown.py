@@ -105,10 +105,15 @@ def span_of(column: ServerColumn, values: Sequence[Comparable]) -> Ways:
     numbers = [v for v in values if not isinstance(v, str) and v == v]
     if column.many or not numbers or len(numbers) < len(values):
         return None
-    ways = [_bound_ways(column, ">=", min(numbers)), _bound_ways(column, "<=", max(numbers))]
-    if NEVER in ways:
+    low, high = min(numbers), max(numbers)
+    return _both_hold(_bound_ways(column, ">=", low), _bound_ways(column, "<=", high))
+
+
+def _both_hold(low: Ways, high: Ways) -> Ways:
+    """Return the way in which two bounds hold, each of which has at most one way."""
+    if NEVER in (low, high):
         return NEVER
-    terms = tuple(term for way in ways for term in (way[0] if way else ()))
+    terms = tuple(term for ways in (low, high) for term in (ways[0] if ways else ()))
     return (terms,) if terms else None
 
 
@@ -215,11 +220,7 @@ def _zone_around(column: ServerColumn, low: Comparable, high: Comparable) -> Way
     """Return the terms for a block that may hold values from low to high, both included."""
     if low == high and column.cql_type != "text" and _exact(column, low) == []:
         return NEVER
-    ways = [_zone_bound_ways(column, ">=", low), _zone_bound_ways(column, "<=", high)]
-    if NEVER in ways:
-        return NEVER
-    terms = tuple(term for way in ways for term in (way[0] if way else ()))
-    return (terms,) if terms else None
+    return _both_hold(_zone_bound_ways(column, ">=", low), _zone_bound_ways(column, "<=", high))
 
 
 def _zone_bound_ways(column: ServerColumn, operator: str, value: Comparable) -> Ways:

@@ -215,10 +215,17 @@ def _test(sign: str, value: Any) -> Callable[[Any], bool]:
     return like_test(value) if sign == "LIKE" else partial(_SWAPPED[sign], value)
 
 
-def _comparison(place: int, sign: str, value: Comparable | None) -> Check:
-    if value is None:
+def _comparison(place: int, sign: str, constant: Comparable | None) -> Check:
+    """Return the check of one comparison; None = the constant is of another kind."""
+    if constant is None:
         return lambda values: None
-    return _value_check(place, _holding(value) if sign == "CONTAINS" else _test(sign, value))
+    test = _holding(constant) if sign == "CONTAINS" else _test(sign, constant)
+
+    def check(values: RowValues) -> bool | None:
+        value = values[place]
+        return None if value is None else test(value)
+
+    return check
 
 
 def _membership(place: int, constants: Sequence[Comparable | None]) -> Check:
@@ -231,14 +238,6 @@ def _membership(place: int, constants: Sequence[Comparable | None]) -> Check:
     def check(values: RowValues) -> bool | None:
         value = values[place]
         return None if value is None else value in members or otherwise
-
-    return check
-
-
-def _value_check(place: int, test: Callable[[Any], bool]) -> Check:
-    def check(values: RowValues) -> bool | None:
-        value = values[place]
-        return None if value is None else test(value)
 
     return check
 
