@@ -21,7 +21,7 @@ TIMEOUT_SEC = 1.0
 SILENT_SEC = 0.2
 """Time limit of a call after one without an answer, s, so that many calls do not wait long."""
 PARAMETER_TIMEOUT_SEC = 10.0
-"""Time limit of setting a parameter, s: its value may be large."""
+"""Time limit of setting a parameter, s."""
 
 _log = logging.getLogger(__name__)
 
