@@ -35,12 +35,15 @@ def host_names(host: str | Sequence[str] | None, usual: str = "") -> list[str]:
 
 
 def port_number(port: int | str | None, usual: str = "", source: str = "") -> int:
-    """Return a port as a number; raises InvalidOption if it is not a whole number from 1 to 65535.
+    """Return a port as a number.
 
     Args:
         port: The port; None or '' = CASSANDRA_ROS_PORT, else ``usual``, else 9042.
         usual: Port of the cqlshrc; '' = the cqlshrc has no port.
         source: File that names ``usual``, for the error text.
+
+    Raises:
+        InvalidOption: It is not a whole number from 1 to 65535.
     """
     hint = ""
     value: int | str = DEFAULT_PORT
@@ -56,7 +59,7 @@ def port_number(port: int | str | None, usual: str = "", source: str = "") -> in
     return int(text)
 
 
-_PLACE = re.compile(
+_ADDRESS = re.compile(
     r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]\s]+)(?::(?P<port>[0-9]+))?(?:/(?P<keyspace>[A-Za-z0-9_]+))?"
 )
 
@@ -72,7 +75,7 @@ def read_address(text: str, keyspace: str) -> tuple[str, int, str]:
     Raises:
         InvalidOption: The text is not of this form.
     """
-    match = _PLACE.fullmatch(text)
+    match = _ADDRESS.fullmatch(text)
     if match is None:
         raise InvalidOption(
             f"{text!r} is not the place of a store: give HOST, HOST:PORT, HOST/KEYSPACE or "

@@ -73,8 +73,11 @@ from cassandra_ros.store.connection.requests import (
 from cassandra_ros.store.connection.sessions import Link, Links
 
 CONNECT_TIMEOUT_SEC = 10.0
+"""Maximum time to wait for a connection, s."""
 NEW_TABLE_SEC = 1.0
+"""Maximum pause before a statement is prepared again because a node does not know its table, s."""
 POOL_PAUSE_SEC = 0.05
+"""Interval at which a wait looks whether the session has connected to the other nodes, s."""
 LAST_WORD_SEC = 0.5
 """How long close() waits for the driver if the program has to end and the store is silent, s."""
 REQUESTS_AT_ONCE = 16
@@ -94,8 +97,9 @@ _NEEDS = {
     "LOCAL_QUORUM": "more than half of the copies of a row, two of three",
     "ALL": "all copies of a row",
 }
-
+"""Consistency level → what it needs, for error texts."""
 _LEAST = ("ANY", "ONE", "LOCAL_ONE")
+"""Consistency levels for which one copy of a row is enough."""
 _READ_ANYWAY = (
     ", or read with consistency='ONE' (programs: --consistency ONE) the rows of which a node that "
     "answers has a copy; with a copy on each node these are all, except the last that it missed"
@@ -106,7 +110,6 @@ SchemaChange = Tuple[str, str]
 """A DDL statement, and what it does, for the error text."""
 CqlRow = Tuple[Any, ...]
 """Decoded values of a row."""
-
 
 _forks = 0
 """Number of forks between the first process and this one. To ask the system for the process at each
@@ -139,7 +142,8 @@ class Cassandra:
             retries, s; None = as long as is usual, up to 30 s.
 
     Raises:
-        ConnectionFailed: No server answers there, or the name cannot be resolved.
+        ConnectionFailed: No server answers there, the name cannot be resolved, or there is no such
+            consistency level.
         LoginFailed, CertificateRefused, TlsMismatch: The server refuses the login or the
             certificate, or we do not trust the server's certificate, or only one side uses TLS.
         InvalidOption: The port is not a port, or a file cannot be read.
@@ -177,17 +181,22 @@ class Cassandra:
         self._files = {"cqlshrc": cqlshrc, "credentials": credentials}
         self._limit_sec = answer_sec
         self._prepared: dict[str, PreparedStatement] = {}
+        """CQL text → statement; changed under _prepare_lock, read without it."""
         self._prepare_lock = threading.Lock()
         self._process, self._forks = os.getpid(), _forks
         self._closed = False
         self._expected_nodes = 0
         self._keyspaces: set[str] = set()
+        """Keyspaces of which the driver knows how they are replicated."""
         self._connecting_until = 0.0
-        places = [(host, self.port) for host in self.hosts]
-        self._links = Links(self._make_link, self._adopt, places, self._where)
+        """Monotonic time until which a new link may still be connecting to further nodes, s."""
+        addresses = [(host, self.port) for host in self.hosts]
+        self._links = Links(self._make_link, self._adopt, addresses, self._where)
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments with which another process connects as this one: plain values.
+
+        The password is one of them.
 
         Raises:
             InvalidOption: The connection has an ``ssl_context``, which stays in its process.
@@ -208,6 +217,7 @@ class Cassandra:
         }
 
     def _make_link(self) -> Link:
+        """Connect to the cluster; raises like the constructor."""
         try:
             cluster = self._make_cluster()
         except (UnresolvableContactPoints, UnicodeError) as exc:
@@ -223,7 +233,7 @@ class Cassandra:
         return link
 
     def _adopt(self, link: Link) -> None:
-        # If the server has lost its prepared statements, the driver prepares them again from these.
+        # If a server has lost its prepared statements, the driver prepares them again from these.
         for statement in list(self._prepared.values()):
             link.cluster.add_prepared(statement.query_id, statement)
 
@@ -337,7 +347,10 @@ class Cassandra:
         return self._forks != _forks
 
     def prepare(self, cql: str) -> PreparedStatement:
-        """Return a prepared statement; each text is prepared once."""
+        """Return a prepared statement; each text is prepared once, by one thread at a time.
+
+        After ``forget`` it is prepared again. Raises like ``execute``.
+        """
         self.require_open()
         statement = self._prepared.get(cql)
         if statement is None:
@@ -366,8 +379,12 @@ class Cassandra:
             pause *= 2
 
     def forget(self, table: str) -> None:
-        """Drop the prepared statements of a table that was dropped."""
+        """Drop the prepared statements of a table that was dropped, and of its chunk table.
+
+        They are those whose text contains the table's name.
+        """
         with self._prepare_lock:
+            # A new dict: other threads read the old one without the lock.
             self._prepared = {cql: s for cql, s in self._prepared.items() if table not in cql}
 
     def execute(
@@ -384,6 +401,11 @@ class Cassandra:
         Args:
             cql: Text with ``?`` for each parameter.
             what: What the statement does, for the error text ("reading the runs").
+            consistency: A level other than the connection's; None = that of the connection.
+            retry_sec: How long it is repeated while it fails.
+
+        Raises:
+            CassandraRosError: See ``retried``; ConnectionFailed: the connection is closed.
         """
 
         def run() -> list[CqlRow]:
@@ -419,7 +441,11 @@ class Cassandra:
     def system_schema_of(
         self, of: str, names: str, keyspace: str, tables: Sequence[str]
     ) -> list[list[CqlRow]]:
-        """Read system_schema about each of some tables of a keyspace, like system_schema."""
+        """Read system_schema about some tables of a keyspace, like system_schema.
+
+        Returns:
+            The rows of each table, in the order of ``tables``; empty for one that does not exist.
+        """
         by_table: dict[str, list[CqlRow]] = {table: [] for table in tables}
         if by_table:
             cql = f"SELECT table_name, {names} FROM system_schema.{of} WHERE keyspace_name = ? "
@@ -461,7 +487,11 @@ class Cassandra:
         return reachable
 
     def execute_once(self, cql: str, params: Sequence[object] = (), *, what: str) -> list[CqlRow]:
-        """Run a statement that is not idempotent (a lightweight transaction) without retries."""
+        """Run a statement that is not idempotent (a lightweight transaction) without retries.
+
+        Raises:
+            CassandraRosError: It failed. It may have been carried out all the same.
+        """
         bound = self.prepare(cql).bind(tuple(params))
         bound.is_idempotent = False
         with translated(what, self.outage.nodes):
@@ -474,9 +504,9 @@ class Cassandra:
     def begin(
         self, cql: str, params: Sequence[object] = (), *, what: str, retry_sec: Seconds = RETRY_SEC
     ) -> Callable[[], list[CqlRow]]:
-        """Send one idempotent statement.
+        """Send one idempotent statement; return a function that waits for its rows.
 
-        Return a function that waits for its rows, like execute.
+        If the request fails, this function repeats it, and raises, like execute.
         """
         bound = self.prepare(cql).bind(tuple(params))
         future = self._session.execute_async(bound, timeout=None)
@@ -492,7 +522,11 @@ class Cassandra:
     def execute_many(
         self, cql: str, params: Iterable[CqlRow], *, what: str, retry_sec: Seconds = RETRY_SEC
     ) -> list[list[CqlRow]]:
-        """Run one idempotent statement with several sets of parameters, 16 at a time."""
+        """Run one idempotent statement with several sets of parameters, 16 at a time.
+
+        Returns:
+            The rows of each set of parameters, in the order of ``params``.
+        """
         answers = (self.begin(cql, values, what=what, retry_sec=retry_sec) for values in params)
         return [answer() for answer in sent_ahead(answers, REQUESTS_AT_ONCE)]
 
@@ -526,6 +560,7 @@ class Cassandra:
             with translated(what, self.outage.nodes):
                 return what, link.session.execute_async(SimpleStatement(cql), timeout=60.0)
 
+        # Lazy: after a failure no further statement is taken, and so none is sent.
         changes_left = takewhile(lambda _: not failures, changes)
         for what, future in sent_ahead(map(begin, changes_left), CHANGES_AT_ONCE if alone else 1):
             try:
@@ -548,11 +583,15 @@ class Cassandra:
             self._agree(what)
 
     def _agree(self, what: str) -> None:
-        """Wait until all nodes have the same schema; raises StoreUnavailable after a limit.
+        """Wait until all nodes have the same schema.
 
-        The driver has waited before, at the node that made the change: this one may ask a node that
-        has not heard of it, and with the others that have not finds agreement. But the driver does
-        not tell whether its wait had an end.
+        The driver has already waited, and asked the node that made the change. That wait is needed:
+        the one here may ask a node that has not heard of the change yet, and find it in agreement
+        with others that have not. This one is needed because the driver does not tell whether it
+        gave up.
+
+        Raises:
+            StoreUnavailable: The nodes do not agree within SAME_SCHEMA_SEC.
         """
         agreed, deadline = False, time.monotonic() + SAME_SCHEMA_SEC
         with translated(what, self.outage.nodes):
@@ -562,7 +601,7 @@ class Cassandra:
             raise translate(TimeoutError("the nodes do not agree on the schema"), what)
 
     def execute_text(self, cql: str, *, what: str) -> None:
-        """Run once a statement that cannot be prepared and does not change the schema."""
+        """Run once, without retries, a statement that cannot be prepared, but no DDL statement."""
         self.require_open()
         with translated(what, self.outage.nodes):
             self._open_session().execute(SimpleStatement(cql))
@@ -622,15 +661,15 @@ class Cassandra:
 
     @property
     def finds_all_written(self) -> bool:
-        """Whether it finds all that it, or another client of its consistency level, has written."""
+        """Whether a read finds all that clients of the same consistency level have written."""
         return is_quorum(ConsistencyLevel.value_to_name[self.consistency])
 
     def live_nodes(self) -> int:
-        """Return the number of nodes in the local data centre that the driver knows."""
+        """Return the number of nodes that the driver knows, up or down, in all data centres."""
         return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
 
     def expect_nodes(self, count: int) -> None:
-        """Make no keyspace before the driver knows this number of nodes; see require_nodes."""
+        """Let require_nodes refuse to make a keyspace before the driver knows ``count`` nodes."""
         self._expected_nodes = count
 
     def require_nodes(self, keyspace: str) -> None:
@@ -673,6 +712,7 @@ def is_quorum(level: str) -> bool:
 
 
 def _consistency_level(name: str) -> int:
+    """Return the driver's number of a consistency level; raises ConnectionFailed."""
     levels = ConsistencyLevel.name_to_value
     if name.upper() not in levels:
         raise ConnectionFailed(

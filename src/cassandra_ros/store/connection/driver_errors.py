@@ -40,6 +40,7 @@ from cassandra_ros.store.connection.cql_names import quote_name
 MAX_CAUSE = 200
 """Maximum length of a cause in a log line, characters. The driver's texts may list all it knows."""
 START_HINT = "start one with: rosrun cassandra_ros local_cassandra start"
+"""End of the error texts of a connection that no server answers."""
 
 DRIVER_ERRORS = (
     DriverException,
@@ -49,6 +50,7 @@ DRIVER_ERRORS = (
     NoConnectionsAvailable,
     ErrorMessage,
 )
+"""All errors that the driver raises for a request or a connection."""
 _PASSING = (
     Unavailable,
     Timeout,
@@ -59,9 +61,9 @@ _PASSING = (
     ConnectionBusy,
     NoConnectionsAvailable,
 )
-
-
+"""Errors after which the same statement may succeed later."""
 _DISK_FULL = ("no space left", "insufficient disk space", "disk usage exceeds", "nodiskavailable")
+"""What the error texts of a server say if its disk is full, in lower case."""
 
 
 def host_errors(exc: NoHostAvailable) -> Mapping[object, BaseException]:
@@ -98,7 +100,10 @@ def is_answer(exc: BaseException) -> bool:
 
 
 def is_passing(exc: BaseException) -> bool:
-    """Return whether the same idempotent statement may succeed later."""
+    """Return whether the same idempotent statement may succeed later.
+
+    If no host took it, it may, unless one of them refuses the user or the statement.
+    """
     if is_disk_full(exc):
         return True  # until the operator makes room
     if isinstance(exc, NoHostAvailable):
@@ -132,7 +137,7 @@ def is_refused(exc: BaseException) -> bool:
 
 
 def translate(exc: BaseException, what: str, nodes: str = "") -> CassandraRosError:
-    """Translate one of the driver's errors into one of ours.
+    """Translate one of the driver's errors into one of ours; one of ours is returned as it is.
 
     Args:
         what: What was being done, the beginning of the error text.
@@ -182,30 +187,33 @@ def _denial(exc: Unauthorized, what: str) -> AccessDenied:
     match = _RIGHT.search(text)
     on_roles = _ROLES.search(text)
     if match:
-        user, right, place = match.groups()
+        user, right, resource = match.groups()
     elif on_roles:
-        user, right, place = on_roles[1], "CREATE", "all roles"
+        user, right, resource = on_roles[1], "CREATE", "all roles"
     else:
         return AccessDenied(f"{what}: this user may not do that: {text}; log in as another user")
     return AccessDenied(
-        f"{what}: user {user} lacks the right {right} on {place}; have an owner or administrator "
-        f"run: GRANT {right} ON {_resource(place)} TO {quote_name(user)} ('cassandra_bag roles' "
-        "prints the roles of a keyspace), or log in as another user",
+        f"{what}: user {user} lacks the right {right} on {resource}; have an owner or "
+        f"administrator run: GRANT {right} ON {_in_grant(resource)} TO {quote_name(user)} "
+        "('cassandra_bag roles' prints the roles of a keyspace), or log in as another user",
         right=right,
     )
 
 
-def _resource(place: str) -> str:
-    """Return how GRANT names a place: of a table its keyspace, because a topic has many tables."""
-    kind, _, name = place.partition(" ")
+def _in_grant(resource: str) -> str:
+    """Return how GRANT names a resource that an error text names, e.g. 'table ros.imu'.
+
+    For a table it is the keyspace, because a topic has many tables.
+    """
+    kind, _, name = resource.partition(" ")
     if kind == "all":
-        tables = name.partition("tables in ")[2]
-        return f"KEYSPACE {quote_name(tables)}" if tables else place.upper()
+        keyspace = name.partition("tables in ")[2]
+        return f"KEYSPACE {quote_name(keyspace)}" if keyspace else resource.upper()
     return f"KEYSPACE {quote_name(name.partition('.')[0])}"
 
 
 def cause_of(exc: BaseException, nodes: str = "") -> str:
-    """Return a short text of why a request failed that may succeed later; nodes as in translate."""
+    """Return a short text of why a request failed, for a log line; nodes as in translate."""
     cause = str(translate(exc, "")).lstrip(": ")[:MAX_CAUSE]
     return f"{cause}; {nodes}" if nodes else cause
 
@@ -214,7 +222,9 @@ def cause_of(exc: BaseException, nodes: str = "") -> str:
 def translated(what: str, nodes: Callable[[], str] = str) -> Iterator[None]:
     """Run a block and translate its driver errors.
 
-    ``nodes`` returns translate's text of that name.
+    Args:
+        what: What the block does, the beginning of the error text.
+        nodes: Returns the ``nodes`` of translate.
     """
     try:
         yield

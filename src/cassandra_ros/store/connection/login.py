@@ -31,6 +31,7 @@ names is never imported: it could run any code of the file's owner."""
 _SECTION = "auth_provider"
 _log = logging.getLogger(__name__)
 _warned: set[str] = set()
+"""Texts that this process has logged as a warning."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,11 @@ class Login:
 
 @contextmanager
 def _readable(option: str, name: str) -> Iterator[None]:
-    """Translate errors of reading PEM files."""
+    """Run a block that reads PEM files, and translate its errors to InvalidOption.
+
+    Args:
+        option, name: Option that names the files, and their names, for the error text.
+    """
     try:
         yield
     except (OSError, ValueError) as exc:  # ssl.SSLError is an OSError
@@ -179,11 +184,12 @@ def _warn(text: str) -> None:
 
 
 def read_sections(name: str, option: str, *, must_exist: bool) -> configparser.ConfigParser:
-    """Read a file of sections, as cqlsh's two are; empty if it is missing.
+    """Read a file of sections, as cqlsh's two are; empty if it is missing, or if ``name`` is ''.
 
-    A % in a password is an ordinary character.
+    Raises:
+        InvalidOption: The file cannot be read, or is missing though it must exist.
     """
-    config = configparser.ConfigParser(interpolation=None)
+    config = configparser.ConfigParser(interpolation=None)  # a % in a password stays as it is
     if not name:
         return config
     try:
@@ -210,7 +216,15 @@ def _user(
     username: str | None,
     password: str | None,
 ) -> tuple[str | None, str | None]:
-    """Return user name and password; a later entry of the list below replaces an earlier one."""
+    """Return user name and password, as cqlsh decides them.
+
+    The files and the arguments are looked at in the order of the loop below. Each entry in a later
+    one replaces that in an earlier one.
+
+    Args:
+        config, config_file: The cqlshrc and its name.
+        keys: The credentials file; empty if it must not be used.
+    """
     provider = _section(config, _SECTION)
     module, name = provider.get("module"), provider.get("classname")
     is_provider = (module, name) in [("cassandra.auth", classname) for classname in PROVIDERS]
@@ -238,10 +252,12 @@ def _user(
 
 
 def _section(config: configparser.ConfigParser, name: str) -> dict[str, str | None]:
+    """Return the options of a section; empty if it is missing."""
     return dict(config[name]) if config.has_section(name) else {}
 
 
 def _tls(config: configparser.ConfigParser, config_file: str) -> Tls | None:
+    """Return the TLS settings of a cqlshrc and the environment; None = no TLS."""
     try:
         uses_tls = config.getboolean("connection", "ssl", fallback=False)
     except ValueError as exc:

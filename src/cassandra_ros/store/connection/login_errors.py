@@ -15,6 +15,7 @@ from cassandra_ros.errors import CertificateRefused, ConnectionFailed, LoginFail
 from cassandra_ros.store.connection.login import Login
 
 PROBE_SEC = 2.0
+"""Maximum time to wait for each step of a connection that finds out the reason, s."""
 _OPTIONS = struct.pack(">BBhBi", 4, 0, 0, 5, 0)
 """The OPTIONS request of the CQL protocol, which needs no login."""
 _UNTRUSTED = "certificate verify failed"
@@ -23,7 +24,13 @@ _UNTRUSTED = "certificate verify failed"
 def explain_refusal(
     errors: Mapping[object, BaseException], login: Login, by_tls: bool, where: str
 ) -> ConnectionFailed | None:
-    """Return one clear error for the driver's errors of all hosts; None if no case here fits."""
+    """Return one clear error for the driver's errors of all hosts; None if no case here fits.
+
+    It connects to the hosts, to see whether they speak TLS.
+
+    Args:
+        by_tls: Whether the driver connected with TLS.
+    """
     texts = " ".join(str(error) for error in errors.values())
     if any(isinstance(error, AuthenticationFailed) for error in errors.values()):
         return _explain_login(login, where)
@@ -35,8 +42,8 @@ def explain_refusal(
             "does not take the one that was given, or was given none; name "
             f"one that it trusts as usercert and userkey under [ssl] in {_rc(login)}"
         )
-    wrong = _speaks_plainly if by_tls else _speaks_tls
-    if not any(wrong(host, login.port) for host in login.hosts):
+    speaks_otherwise = _speaks_plainly if by_tls else _speaks_tls
+    if not any(speaks_otherwise(host, login.port) for host in login.hosts):
         return None
     if by_tls:
         return TlsMismatch(
@@ -50,16 +57,16 @@ def explain_refusal(
 
 
 def _explain_login(login: Login, where: str) -> LoginFailed:
-    place = login.files[1] or "~/.cassandra/credentials"
+    credentials_file = login.files[1] or "~/.cassandra/credentials"
     if login.username is None:
         unused = f" ({login.ignored} is not used: others can read it)" if login.ignored else ""
         return LoginFailed(
             f"the Cassandra at {where} asks for a login and none was given{unused}; write username "
-            f"and password under [PlainTextAuthProvider] in {place} (chmod 600)"
+            f"and password under [PlainTextAuthProvider] in {credentials_file} (chmod 600)"
         )
     return LoginFailed(
         f"the Cassandra at {where} refuses the user name {login.username!r} with this password; "
-        f"correct them in {place}, or in the cqlshrc where they stand"
+        f"correct them in {credentials_file}, or in the cqlshrc where they stand"
     )
 
 
@@ -92,11 +99,16 @@ def _speaks_tls(host: str, port: int) -> bool:
 
 
 def _wants_ours(host: str, port: int) -> bool:
+    """Return whether a server refuses a connection that has no client certificate."""
     return _greet(host, port, listening=True)[1]
 
 
 def _greet(host: str, port: int, *, listening: bool = False) -> tuple[bool, bool]:
     """Start a TLS handshake without a certificate.
+
+    Args:
+        listening: Wait after the handshake for a refusal. A server that does not refuse sends
+            nothing, so then only the second result counts.
 
     Returns:
         Whether the server speaks TLS, and whether it asks for a client certificate.
@@ -111,6 +123,7 @@ def _greet(host: str, port: int, *, listening: bool = False) -> tuple[bool, bool
                     greeted.recv(1)
     except ssl.SSLError as exc:
         text = str(exc).lower()
+        # An alert is an answer of TLS. The error of a server without TLS is another one.
         return "alert" in text, "certificate" in text or "handshake_failure" in text
     except OSError:
         return False, False
@@ -118,6 +131,7 @@ def _greet(host: str, port: int, *, listening: bool = False) -> tuple[bool, bool
 
 
 def _speaks_plainly(host: str, port: int) -> bool:
+    """Return whether a server answers CQL without TLS."""
     try:
         with socket.create_connection((host, port), timeout=PROBE_SEC) as plain:
             plain.sendall(_OPTIONS)

@@ -19,6 +19,7 @@ GRACE_SEC = 2.0
 STUBBORN_SEC = 10.0
 """Age from which a failing request is logged while other requests are answered, s."""
 REPEAT_SEC = 60.0
+"""Minimum time between two such log lines, and between two of one outage, s."""
 HURRY_SEC = 1.5
 """How long a program that has to end waits for an answer, since the last answer, s."""
 
@@ -28,19 +29,19 @@ class Outage:
 
     Args:
         where: The hosts, as text for log lines.
-
         nodes: Returns a text that says which nodes of the cluster answer and which do not; '' if
             all or none do.
-        failing: Called after each failure with the time since which no server has answered at
-            all, not even with an error, s; must not block.
-        limit_sec: Maximum time that a read waits for an answer, with its retries, s.
+        failing: Called after each failure, on any thread, with the time since which no server has
+            answered at all, not even with an error, s; must not block.
+        limit_sec: Maximum time that a request outside of a Flight waits for an answer, with its
+            retries, s.
     """
 
     def __init__(
         self,
         where: str,
-        nodes: Callable[[], str] = str,
-        failing: Callable[[float], object] = float,
+        nodes: Callable[[], str] = str,  # str() is ''
+        failing: Callable[[float], object] = float,  # has no effect
         limit_sec: float = math.inf,
     ) -> None:
         self._where = where
@@ -56,7 +57,8 @@ class Outage:
         """Monotonic time of the first failure since the last answer or error of a server, s."""
         self._told: float | None = None
         """Monotonic time at which the outage was logged last, s."""
-        self._grumbled = -REPEAT_SEC
+        self._stubborn_told = -REPEAT_SEC
+        """Monotonic time at which a single failing request was logged last, s."""
         self._hurried: float | None = None
         """Monotonic time at which hurry was called, s."""
         self._heard = 0.0
@@ -82,7 +84,10 @@ class Outage:
 
     @property
     def left_sec(self) -> float:
-        """How long to wait for one more answer, s; inf = the limit of each request."""
+        """How long to wait for one more answer, s; 0 or less = give up, inf = no hurry.
+
+        Each answer restarts this time.
+        """
         hurried = self._hurried
         if hurried is None:
             return math.inf
@@ -90,7 +95,7 @@ class Outage:
 
     @property
     def seconds(self) -> float:
-        """Time since the first failure after the last answer, s; 0 = no request has failed."""
+        """Time since the first failure after the last answer, s; 0 = none has failed since."""
         since = self._failing_since
         return 0.0 if since is None else time.monotonic() - since
 
@@ -100,7 +105,7 @@ class Outage:
         return self.seconds >= GRACE_SEC
 
     def failed(self, exc: BaseException, trying_sec: float) -> None:
-        """Note that a request failed ``trying_sec`` seconds after its first attempt."""
+        """Note that a request failed ``trying_sec`` seconds after its first attempt, and log it."""
         now = time.monotonic()
         with self._mutex:
             if self._failing_since is None:
@@ -115,15 +120,23 @@ class Outage:
         self._tell(exc, trying_sec, now, away)
 
     def _tell(self, exc: BaseException, trying_sec: float, now: float, away: float) -> None:
+        """Log a failure if it is time to.
+
+        Args:
+            now: Monotonic time of the failure, s.
+            away: Time for which no request was answered, s.
+        """
         with self._mutex:
             first = self._told is None
-            if away >= GRACE_SEC and (first or now - (self._told or now) >= REPEAT_SEC):
+            is_outage = away >= GRACE_SEC
+            if is_outage and (first or now - (self._told or now) >= REPEAT_SEC):
                 self._told = now
-            elif first and trying_sec >= STUBBORN_SEC and now - self._grumbled >= REPEAT_SEC:
-                self._grumbled, away = now, 0.0
+            elif first and trying_sec >= STUBBORN_SEC and now - self._stubborn_told >= REPEAT_SEC:
+                self._stubborn_told = now
+                is_outage = False
             else:
                 return
-        if not away:
+        if not is_outage:
             _log.warning("a request fails and is tried again: %s", cause_of(exc, self.nodes()))
             return
         clock = time.strftime("%H:%M:%S", time.localtime(time.time() - away))
@@ -131,10 +144,13 @@ class Outage:
         # An error that a server sent is an answer: the server cannot do what it is asked.
         does = "fails all requests" if is_answer(exc) else "has not answered"
         text = "the store at %s " + does + " since %s %s%s"
-        _log.warning(text, self._where, clock, cause, _rest(self._hint(), self._waiting()))
+        _log.warning(text, self._where, clock, cause, _appended(self._hint(), self._waiting()))
 
     def answered(self) -> None:
-        """Note that a request was answered. Cheap while no request fails."""
+        """Note that a request was answered, and log the end of an outage.
+
+        It is cheap while no request fails, because every answer calls it.
+        """
         if self._hurried is not None:
             self._heard = time.monotonic()
         if self._failing_since is None:
@@ -145,8 +161,9 @@ class Outage:
         if since is not None and told_at is not None:
             away = time.monotonic() - since
             text = "the store at %s answers again after %.0f s%s"
-            _log.warning(text, self._where, away, _rest(self._waiting()))
+            _log.warning(text, self._where, away, _appended(self._waiting()))
 
 
-def _rest(*texts: str) -> str:
+def _appended(*texts: str) -> str:
+    """Return texts as the end of a log line; empty ones are left out."""
     return "".join(f"; {text}" for text in texts if text)

@@ -82,16 +82,14 @@ class SchemaChanges:
             changes.mark = object()
 
     def pushed(self, change: Mapping[str, object]) -> None:
-        """Note a change that a server has pushed, as the driver parsed it.
-
-        On the driver's thread.
-        """
+        """Note a change that a server has pushed, as the driver parsed it, on its thread."""
         changes = self._followed.get(str(change["keyspace"]))
         if changes is not None:
             changes.mark = object()
 
 
 Offsets = NDArray[np.int64]
+"""Offsets in the bytes of an answer."""
 _size = struct.Struct(">i").unpack_from
 _FOUR = struct.pack(">i", 4)
 
@@ -122,27 +120,31 @@ class RawPage(Sequence[RawRow]):
         self._count, self._at = _size(body, at)[0], at + 4
         self._width = width
         self._cut: Callable[[], Sequence[RawRow]] | None = cut
+        """None = the rows were cut and are in _rows."""
         self._rows: Sequence[RawRow] = ()
         self._last: int | None = None
+        """Offset of the last row that bounds or views has come to; None = of no row."""
 
     def __len__(self) -> int:
         return int(self._count)
 
     def __iter__(self) -> Iterator[RawRow]:
-        yield from self._every()  # on first use: the driver only tests whether there is an iterator
+        yield from self._all_rows()  # on first use: the driver only tests if there is an iterator
 
     @overload
-    def __getitem__(self, place: int) -> RawRow: ...
+    def __getitem__(self, index: int) -> RawRow: ...
 
     @overload
-    def __getitem__(self, place: slice) -> Sequence[RawRow]: ...
+    def __getitem__(self, index: slice) -> Sequence[RawRow]: ...
 
-    def __getitem__(self, place: int | slice) -> RawRow | Sequence[RawRow]:
-        if place == -1 and self._cut is not None and self._last is not None:
+    def __getitem__(self, index: int | slice) -> RawRow | Sequence[RawRow]:
+        # The last row of a page that was read by bounds or views, without cutting all rows.
+        if index == -1 and self._cut is not None and self._last is not None:
             return self.row(self._last)
-        return self._every()[place]
+        return self._all_rows()[index]
 
-    def _every(self) -> Sequence[RawRow]:
+    def _all_rows(self) -> Sequence[RawRow]:
+        """Cut the rows at the first call, and return them."""
         if self._cut is not None:
             here = self._count <= PAGE_CUT_HERE_ROWS or self._wide
             self._rows = self._cut_here() if here else self._cut()
@@ -151,12 +153,13 @@ class RawPage(Sequence[RawRow]):
 
     @property
     def _wide(self) -> bool:
+        """Whether rows are so long that each copy of them takes more time than cutting here."""
         return bool(len(self.body) >= WIDE_ROW_BYTES * self._count)
 
     def views(self) -> Iterator[RawRow]:
         """Yield the rows once; columns of wide rows are views of the answer instead of copies."""
         if self._cut is None or not self._wide:
-            yield from self._every()
+            yield from self._all_rows()
             return
         body, at = cast(bytes, memoryview(self.body)), self._at  # callers read it like bytes
         for _ in range(self._count):
@@ -165,7 +168,7 @@ class RawPage(Sequence[RawRow]):
             at = self.end(at)
 
     def _cut_here(self) -> Sequence[RawRow]:
-        # The compiled parser would copy all columns once more.
+        """Cut all rows without the compiled parser, which would copy all columns once more."""
         rows, at = [], self._at
         for _ in range(self._count):
             rows.append(self.row(at))
@@ -185,7 +188,7 @@ class RawPage(Sequence[RawRow]):
             mark: Bytes with which each row begins.
         """
         body, at, ends = self.body, self._at, []
-        lengths: dict[int, int] = {}
+        lengths: dict[int, int] = {}  # value of the column → length of the row
         try:
             offsets = self._alike(mark)
             if offsets is not None:
@@ -223,7 +226,7 @@ class RawPage(Sequence[RawRow]):
         return offsets if (data[begins] == np.frombuffer(mark, np.uint8)).all() else None
 
     def end(self, at: int) -> int:
-        """Return the end of the row that begins at ``at``; raises struct.error."""
+        """Return the end of the row that begins at ``at``; struct.error: it has no end here."""
         for _ in range(self._width):
             at += 4 + max(0, _size(self.body, at)[0])
         return at
@@ -258,9 +261,11 @@ Prepared = Tuple[bool, bytes, Sequence[Any]]
 """True, the id of a prepared statement, its values."""
 
 _HEAD = struct.Struct(">BBhBi")
+"""Head of a request or an answer: version, flags, stream, opcode, size of the body."""
 _BATCH = struct.Struct(">BH")
 """Type of a batch and number of its statements; the statements follow."""
 _PLAIN = (ExecuteMessage, BatchMessage)
+"""Types of the requests that are encoded here."""
 _DecodedResult = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
 
 
@@ -281,6 +286,7 @@ class EncodedRows:
 
     def write(self, buffer: io.BytesIO, msg: Any, protocol_version: int) -> None:
         """Write the body of the batch ``msg`` with these statements."""
+        # The driver encodes the other statements and the end. Its head counts only these.
         rest = BatchMessage(
             msg.batch_type,
             self._others,
@@ -292,9 +298,9 @@ class EncodedRows:
         start = buffer.tell()
         buffer.write(bytes(_BATCH.size))
         buffer.write(self._encoded)
-        behind = io.BytesIO()
-        rest.send_body(behind, protocol_version)
-        with behind.getbuffer() as view:
+        rest_body = io.BytesIO()
+        rest.send_body(rest_body, protocol_version)
+        with rest_body.getbuffer() as view:
             buffer.write(view[_BATCH.size :])
         with buffer.getbuffer() as view:
             _BATCH.pack_into(view, start, msg.batch_type.value, len(self))
@@ -406,16 +412,17 @@ class BufferedConnection(DefaultConnection):
 
     @cached_property
     def _iobuf(self) -> _ReceiveBuffer:
+        """What the driver's reader writes to, and then calls process_io_buffer."""
         return _ReceiveBuffer()
 
     def process_io_buffer(self) -> None:
         """Process each complete answer; protocol version 4 has no segments."""
-        self._hand_on()
+        self._process_answers()
         # The driver closes only if no bytes wait here; otherwise it reads the end again and again.
         if self._iobuf.ended:
             self.close()
 
-    def _hand_on(self) -> None:
+    def _process_answers(self) -> None:
         received = self._iobuf
         while True:
             if self._frame is None:
@@ -434,16 +441,15 @@ class BufferedConnection(DefaultConnection):
             self.process_msg(frame, received.pop_bytes(size))
 
     def push(self, data: bytes) -> None:
-        """Send a small request or queue a large one.
-
-        A memoryview lets the driver cut without copies.
-        """
+        """Send a small request or queue a large one."""
         rest = self._send_now(data) if len(data) <= DIRECT_BYTES else data
         if rest is not None:
-            super().push(memoryview(rest))
+            super().push(memoryview(rest))  # which the driver cuts without copies
 
     def _send_now(self, data: bytes) -> bytes | None:
         """Send as many bytes as the socket takes; return the rest to be queued, None = no rest.
+
+        The caller queues b'', too, because this wakes the driver's thread.
 
         Waking the driver's thread takes a third of the time of a lookup. While that thread's
         watcher is active it may be in the middle of a request. Only libev's event loop has this
@@ -461,8 +467,9 @@ class BufferedConnection(DefaultConnection):
                 return data
             if count == len(data):
                 return None
+            # Under the lock, so that no other request comes between.
             self.deque.append(data[count:])
-        return b""  # wakes the driver's thread
+        return b""
 
 
 def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[BufferedConnection]:
@@ -498,6 +505,8 @@ def _addresses_of(name: str) -> set[object]:
 
 
 class _RawResultMessage(_DecodedResult):  # type: ignore[misc, valid-type]
+    """An answer whose rows are a RawPage. The driver calls its methods."""
+
     column_metadata: list[_Column] | None
     column_names: list[str]
     column_types: list[object]
@@ -534,6 +543,7 @@ class _RawResultMessage(_DecodedResult):  # type: ignore[misc, valid-type]
 
 
 def _as_bytes(metadata: list[_Column] | None) -> list[_Column] | None:
+    """Return descriptions of columns with the type blob, so that no value is decoded."""
     return [(*column[:3], BytesType) for column in metadata] if metadata else metadata
 
 

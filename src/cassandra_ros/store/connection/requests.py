@@ -29,10 +29,14 @@ from cassandra_ros.store.connection.outage import Outage
 _log = logging.getLogger(__name__)
 
 REQUEST_TIMEOUT_SEC = 20.0
+"""Maximum time to wait for the answer of one request, s."""
 RETRY_SEC = 30.0
+"""How long a request that fails is repeated, unless the caller says otherwise, s."""
 BUSY_PAUSE_SEC = 0.002
+"""Pause before a request that our own full socket buffers refused is sent again, s."""
 FIRST_PAUSE_SEC = 0.1
 LAST_PAUSE_SEC = 5.0
+"""Pauses before other requests are sent again, doubled from the first to the last, s."""
 LOOK_SEC = 0.2
 """Interval at which a wait checks whether the program has to end, s."""
 GROWTH = 4
@@ -43,7 +47,8 @@ RawRow = Tuple[Optional[bytes], ...]
 IsRefused = Callable[[BaseException], bool]
 """Returns whether an error of the driver is raised at once as it is, without a retry."""
 OnPage = Callable[[Sequence[RawRow]], None]
-"""Called on the driver's thread with the rows of each page as soon as they arrive."""
+"""Called on the driver's thread with the rows of each page as soon as they arrive, perhaps after
+the thread that waits for the page got it. It must not block."""
 _T = TypeVar("_T")
 
 
@@ -57,15 +62,22 @@ class Patience:
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self._hurried: float | None = None
-        self._left = self._answered = 0.0
+        """Monotonic time at which hurry was called, s; None = it was not."""
+        self._hurry_sec = 0.0
+        """Argument of hurry; valid once _hurried is set."""
+        self._answered = 0.0
+        """Monotonic time of the last answer since hurry was called, s."""
 
     def hurry(self, seconds: float) -> None:
-        """Limit all present and later requests to ``seconds`` from now; a later call may cut it.
+        """Limit the retries of present requests to ``seconds`` from now, and those of later ones.
 
-        A request is given up at its first failure if the store has not answered for this time.
+        A later request is retried for ``seconds`` from its beginning if the store answers any
+        request meanwhile, otherwise from the last answer or from this call. So while the store is
+        silent it is given up at its first failure. A later call counts only with fewer seconds.
         """
-        if self._hurried is None or seconds < self._left:
-            self._left, self._hurried = seconds, time.monotonic()
+        if self._hurried is None or seconds < self._hurry_sec:
+            self._hurry_sec = seconds  # before _hurried, because other threads call ends
+            self._hurried = time.monotonic()
 
     def answered(self) -> None:
         """Note that the store has answered a request."""
@@ -77,11 +89,12 @@ class Patience:
         if self._hurried is None:
             return start + self._seconds
         heard = max(self._hurried, self._answered)
-        latest = min(max(self._hurried, start), heard) + self._left
+        latest = min(max(self._hurried, start), heard) + self._hurry_sec
         return min(start + self._seconds, latest)
 
 
 Seconds = Union[float, Patience]
+"""How long a request is repeated: a fixed time, s, or one that can be shortened meanwhile."""
 
 
 def retried(
@@ -94,10 +107,18 @@ def retried(
 ) -> _T:
     """Make an idempotent request; repeat it for ``seconds`` while it fails with what may pass.
 
+    Args:
+        what: What the request does, for the error text.
+        outage: Is told of failures and of the answer. Its ``limit_sec`` limits ``seconds``, and the
+            retries end with the waits of the program.
+
     Raises:
         CassandraRosError: A retry cannot help, or the time is over.
+        One of DRIVER_ERRORS: ``refused`` says that it is not to be repeated.
     """
-    start, later, is_logged = time.monotonic(), FIRST_PAUSE_SEC, False
+    start = time.monotonic()
+    next_pause = FIRST_PAUSE_SEC
+    is_logged = False
     while True:
         try:
             answer = call()
@@ -107,7 +128,7 @@ def retried(
         except DRIVER_ERRORS as exc:
             if refused is not None and refused(exc):
                 raise
-            pause = BUSY_PAUSE_SEC if is_busy(exc) else later
+            pause = BUSY_PAUSE_SEC if is_busy(exc) else next_pause
             now = time.monotonic()
             trying_sec = now - start
             ends = seconds.ends(start) if isinstance(seconds, Patience) else start + seconds
@@ -123,11 +144,11 @@ def retried(
                 elif not is_logged:
                     _log.warning("%s; trying again", translate(exc, what))
                 is_logged = True
-                later = min(2 * later, LAST_PAUSE_SEC)
-        _rest(pause, outage)
+                next_pause = min(2 * next_pause, LAST_PAUSE_SEC)
+        _sleep(pause, outage)
 
 
-def _rest(seconds: float, outage: Outage | None) -> None:
+def _sleep(seconds: float, outage: Outage | None) -> None:
     """Sleep for ``seconds``, or until the waits of the program have to end."""
     ends = time.monotonic() + seconds
     while (rest_sec := ends - time.monotonic()) > 0 and (outage is None or outage.left_sec > 0):
@@ -135,9 +156,10 @@ def _rest(seconds: float, outage: Outage | None) -> None:
 
 
 def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
-    """Yield requests in order, ``count`` of them on their way.
+    """Yield requests in order, while at most ``count`` of them are on their way.
 
-    Taking one from the input sends it.
+    Args:
+        requests: Taking a request from this iterator sends it.
     """
     queue: deque[_T] = deque()
     for request in requests:
@@ -179,7 +201,7 @@ class PagedRead:
         first_rows: Number of rows of the first page. Each further page has GROWTH times as many,
             up to the statement's page size; until then no page is requested ahead. 0 = all pages
             have the statement's size.
-        outage: Notes answers and failures.
+        refused, outage: See ``retried``.
 
     Attributes:
         more: Whether there are further pages after the one that was read last.
@@ -201,39 +223,46 @@ class PagedRead:
         self._what = what
         self._refused = refused
         self._on_page = on_page
-        self._small = first_rows
+        self._small_rows = first_rows
+        """Number of rows of the next page while pages are small; 0 = the statement's page size."""
         self._last: RawRow | None = None
-        self._read: Sequence[RawRow] = ()
+        self._last_page: Sequence[RawRow] = ()
+        """The page that was yielded last; empty = _last is up to date."""
         self.more = True
-        self._failed = False
+        self._has_failed = False
+        """Whether the request of the page failed, so that it must be sent again."""
         self._future = self._ask()
 
     @property
     def last(self) -> RawRow | None:
-        """Last row that was read."""
-        if self._read:  # not earlier: the page may not be cut into rows yet
-            self._last, self._read = self._read[-1], ()
+        """Last row of the pages that ``pages`` has yielded; None = there is none."""
+        if self._last_page:  # not earlier: the page may not be cut into rows yet
+            self._last, self._last_page = self._last_page[-1], ()
         return self._last
 
     def _ask(self) -> ResponseFuture:
+        """Send the statement that reads the rows after the last one."""
         statement = self._statement_from(self.last)
-        if self._small:
-            self._small = self._small if self._small < statement.fetch_size else 0
-            statement.fetch_size = self._small or statement.fetch_size
+        if self._small_rows:
+            if self._small_rows < statement.fetch_size:
+                statement.fetch_size = self._small_rows
+            else:
+                self._small_rows = 0
         future = self._send(statement)
         if self._on_page is not None:
             future.add_callback(self._on_page)
         return future
 
     def _result(self) -> Sequence[RawRow]:
-        if self._failed:
-            self._future, self._failed = self._ask(), False
+        if self._has_failed:
+            self._future = self._ask()
+            self._has_failed = False
         try:
             rows: Sequence[RawRow] = await_answer(self._future, self._outage).current_rows
             self.more = self._future.has_more_pages
             return rows
         except DRIVER_ERRORS:
-            self._failed = True
+            self._has_failed = True
             raise
 
     def page(self) -> Sequence[RawRow]:
@@ -241,19 +270,24 @@ class PagedRead:
         return retried(self._what, self._result, refused=self._refused, outage=self._outage)
 
     def pages(self, *, ahead: bool = True) -> Iterator[Sequence[RawRow]]:
-        """Yield the pages; with ``ahead`` the next one is requested before a page is yielded."""
+        """Yield the pages, of which some may be empty.
+
+        Args:
+            ahead: Request the next page before a page is yielded, unless pages are still small.
+        """
         while self.more:
             page = self.page()
-            early = ahead and not self._small
-            if self.more and early:
+            is_ahead = ahead and not self._small_rows
+            if self.more and is_ahead:
                 self._future.start_fetching_next_page()
             if page:
-                self._read = page
+                self._last_page = page
             yield page
-            if self.more and self._small and page:
-                self._small *= GROWTH
+            if self.more and self._small_rows and page:
+                # A page of another size is another statement, from the last row on.
+                self._small_rows *= GROWTH
                 self._future = self._ask()
-            elif self.more and not early:
+            elif self.more and not is_ahead:
                 self._future.start_fetching_next_page()
 
     def rows(self, *, ahead: bool = True) -> Iterator[RawRow]:
@@ -266,10 +300,12 @@ MAX_SENT_BYTES = 4 * 1024 * 1024
 """Maximum number of bytes on their way: eight chunks of large messages, or 16 batches. More is not
 faster, and a server stops reading from an address that has sent it heap / 40 ahead."""
 MAX_REQUESTS = 16
+"""Maximum number of requests on their way."""
 
 _GIVEN_UP = "the program is to end, and the store does not answer"
 
 Outcome = Callable[["BaseException | None"], None]
+"""Takes None if a statement was acknowledged, else the error after which it was given up."""
 
 
 @dataclass(eq=False)
@@ -280,15 +316,21 @@ class _Request:
     begun: float
     """Monotonic time at which the request was sent first, s."""
     pause: float = FIRST_PAUSE_SEC
+    """Pause before its next retry, s."""
     settled: bool = False
+    """Whether its outcome was told. What is heard of it later has no effect."""
 
 
 class Flight:
     """Sends idempotent statements without waiting for each answer. Thread-safe.
 
-    The callback ``outcome`` of each statement is called once, on the driver's event thread or on
-    the thread of a retry, with None or with the error after which the statement was given up. It
-    must not block.
+    The callback ``outcome`` of each statement is called once, with None or with the error after
+    which the statement was given up: on the driver's event thread, on the thread of a retry, or on
+    the thread that calls ``submit`` or ``wait``, with the locks that this thread holds. It must not
+    block.
+
+    Args:
+        patience: How long a statement is retried; None = 60 s.
     """
 
     def __init__(
@@ -303,11 +345,14 @@ class Flight:
         self._changed = threading.Condition()
         self._bytes = 0
         self._requests: set[_Request] = set()
+        """Requests on their way, or waiting for a retry, whose callbacks have not returned."""
 
     def submit(self, statement: Statement, nbytes: int, outcome: Outcome) -> None:
-        """Send a statement of ``nbytes`` bytes.
+        """Send a statement of ``nbytes`` bytes; block while too many bytes or requests are sent.
 
-        Blocks while too many bytes or requests are sent.
+        Raises:
+            StoreUnavailable: The program has to end, and the store does not answer. ``outcome``
+                gets every error that is raised here, too.
         """
         request = _Request(statement, nbytes, outcome, time.monotonic())
         try:
@@ -334,7 +379,7 @@ class Flight:
         return self._bytes
 
     def wait(self) -> None:
-        """Wait until every statement has its outcome."""
+        """Wait until every statement has its outcome and the callbacks have returned."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: not self._requests, LOOK_SEC)

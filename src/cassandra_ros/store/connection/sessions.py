@@ -43,10 +43,10 @@ class Link(NamedTuple):
         """Return whether the cluster or a session has ended for good and can send no request."""
         if self.cluster.is_shutdown:
             return True
-        return any(map(_is_shut_down, (self.session, self.raw_session)))
+        return any(map(_is_session_shut_down, (self.session, self.raw_session)))
 
 
-def _is_shut_down(session: Session) -> bool:
+def _is_session_shut_down(session: Session) -> bool:
     pools = tuple(session.get_pools())
     # Without pools the driver knows that the nodes are down, and looks for them itself.
     return session.is_shutdown or (bool(pools) and all(pool.is_shutdown for pool in pools))
@@ -56,9 +56,11 @@ class Links:
     """The link of a connection, and the thread that makes a new one. Thread-safe.
 
     Args:
-        make: Makes a link; raises CassandraRosError if the cluster does not answer.
-        adopt: Passes the prepared statements to a link, before and after it replaces the old one.
-        places: Address and port of each node to connect to.
+        make: Makes a link; raises CassandraRosError if the cluster does not answer. Called by the
+            constructor, later on the thread of ``_replace``.
+        adopt: Passes the prepared statements to a link, before it replaces the old one and, for
+            those that were prepared meanwhile, after that.
+        addresses: Address and port of each node to connect to.
         where: The same as text for log lines.
 
     Attributes:
@@ -69,15 +71,16 @@ class Links:
         self,
         make: Callable[[], Link],
         adopt: Callable[[Link], None],
-        places: list[tuple[str, int]],
+        addresses: list[tuple[str, int]],
         where: str,
     ) -> None:
-        self._make, self._adopt, self._places, self._where = make, adopt, places, where
+        self._make, self._adopt, self._addresses, self._where = make, adopt, addresses, where
         self._changed = threading.Condition()
         self._closed = self._making = False
         self._next = 0.0
         """Monotonic time from which the next attempt may begin, s."""
         self._pause = FIRST_PAUSE_SEC
+        """Pause between the last attempt and the next, s."""
         self.current = make()
         self._since = time.monotonic()
         """Monotonic time since which the current link is in use, s."""
@@ -85,12 +88,15 @@ class Links:
     def failed(self, silent_sec: float) -> None:
         """Note that a request failed; start to replace the link if it is the reason.
 
-        It never blocks: the driver's own threads call it.
+        It never blocks: the driver's own threads call it. Of attempts to replace the link only one
+        runs at a time.
 
         Args:
             silent_sec: Time since which every request has failed without any answer, s.
         """
-        link, silent_sec = self.current, min(silent_sec, time.monotonic() - self._since)
+        link = self.current
+        # The silence before this link was in use was that of another link.
+        silent_sec = min(silent_sec, time.monotonic() - self._since)
         silent = silent_sec >= SILENT_SEC
         if not (silent or link.is_shut_down()):
             return
@@ -103,7 +109,10 @@ class Links:
         threading.Thread(target=self._replace, args=args, name=name, daemon=True).start()
 
     def await_open(self, seconds: float) -> Link:
-        """Return the link; wait up to ``seconds`` while a new one is being made."""
+        """Return the link; if it has ended, wait up to ``seconds`` for a new one.
+
+        The result is the link that has ended if none was made in this time.
+        """
         ends = time.monotonic() + seconds
         while self.current.is_shut_down() and not self._closed and time.monotonic() < ends:
             self.failed(0.0)
@@ -112,25 +121,28 @@ class Links:
         return self.current
 
     def _replace(self, old: Link, why: str) -> None:
+        """Replace the link if another one can be made; ``why`` is a text for the log line."""
         new = self._try_to_make()
         with self._changed:
             self._making = False
             self._pause = FIRST_PAUSE_SEC if new else min(2 * self._pause, LAST_PAUSE_SEC)
             self._next = time.monotonic() + self._pause
-            unwanted = new if self._closed else None
-            if new is not None and not self._closed:
+            is_closed = self._closed
+            if new is not None and not is_closed:
                 self.current, self._since = new, time.monotonic()
             self._changed.notify_all()
-        if unwanted is not None:
-            unwanted.cluster.shutdown()
-        elif new is not None:
+        if new is None:
+            return
+        if is_closed:  # close has not seen the new link
+            new.cluster.shutdown()
+        else:
             self._adopt(new)
             _log.warning("the session with the store at %s %s: made anew", self._where, why)
             # The requests on the old link fail now and are sent again on the new one.
             old.cluster.shutdown()
 
     def _try_to_make(self) -> Link | None:
-        if not any(map(_accepts, self._places)):
+        if not any(map(_accepts, self._addresses)):
             return None
         try:
             link = self._make()
@@ -141,10 +153,7 @@ class Links:
             return None
 
     def close(self, seconds: float | None = None) -> None:
-        """Shut the link down and make no other.
-
-        Wait at most ``seconds`` for it (None = no limit).
-        """
+        """Shut the link down and make no other; wait at most ``seconds`` (None = no limit)."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -154,9 +163,10 @@ class Links:
         ending.join(seconds)
 
 
-def _accepts(place: tuple[str, int]) -> bool:
+def _accepts(address: tuple[str, int]) -> bool:
+    """Return whether a server accepts connections at an address and port."""
     try:
-        socket.create_connection(place, timeout=PROBE_SEC).close()
+        socket.create_connection(address, timeout=PROBE_SEC).close()
         return True
     except (OSError, UnicodeError):
         return False
