@@ -24,7 +24,8 @@ from cassandra_ros.store.tables.row_table import (
     TableRow,
     bind,
     decode_long,
-    encode_int,
+    encode_long,
+    encode_orders,
 )
 
 HEADER_COLUMNS = (
@@ -32,7 +33,7 @@ HEADER_COLUMNS = (
 )
 WHOLE_BLOCK_COLUMNS = f'{HEADER_COLUMNS}, "_data"'
 _FIXED = struct.Struct(">qqqiqi")
-_PAIR_BYTES = 8
+"""Values of the first six header columns, encoded, one after the other."""
 _new_row = partial(tuple.__new__, TableRow)
 
 
@@ -129,16 +130,8 @@ def ask_blocks(
     names: str = WHOLE_BLOCK_COLUMNS,
 ) -> PagedRead:
     """Request blocks by their keys, in one page; blocks deleted meanwhile are left out."""
-    size = encode_int(_PAIR_BYTES)
-    pairs = b"".join(
-        encode_int(3 * _PAIR_BYTES) + size + _LONG.pack(t) + size + _LONG.pack(seq)
-        for t, seq in keys
-    )
-    statement = table.select_listed(names)
-    return table.send(bind(statement, (*place, encode_int(len(keys)) + pairs), len(keys)))
-
-
-_LONG = struct.Struct(">q")
+    orders = encode_orders([(encode_long(t), encode_long(seq)) for t, seq in keys])
+    return table.send(bind(table.select_listed(names), (*place, orders), len(keys)))
 
 
 class Block:

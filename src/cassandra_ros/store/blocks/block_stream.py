@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage, SchemaConflict
-from cassandra_ros.read import Sift
+from cassandra_ros.read import Sift, Terms
 from cassandra_ros.store.blocks.block_row import (
     HEADER_COLUMNS,
     WHOLE_BLOCK_COLUMNS,
@@ -41,7 +41,6 @@ from cassandra_ros.store.tables.row_table import (
     Order,
     RowTable,
     TableRow,
-    Terms,
     encode_long,
 )
 

@@ -157,7 +157,7 @@ class RawPage(Sequence[RawRow]):
         return bool(len(self.body) >= WIDE_ROW_BYTES * self._count)
 
     def views(self) -> Iterator[RawRow]:
-        """Yield the rows once; columns of wide rows are views of the answer instead of copies."""
+        """Yield the rows; columns of wide rows are views of the answer and are not kept here."""
         if self._cut is None or not self._wide:
             yield from self._all_rows()
             return

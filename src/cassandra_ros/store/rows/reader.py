@@ -55,6 +55,7 @@ from cassandra_ros.store.tables.row_table import (
     bind,
     decode_long,
     encode_int,
+    encode_orders,
 )
 
 _log = logging.getLogger(__name__)
@@ -391,15 +392,8 @@ class _Stream:
         return self._piece.table.select_these(self._columns, reverse=self._read.reverse)
 
     def _ask_these(self, batch: Sequence[RawRow]) -> PagedRead:
-        values = (*self._place, _pairs(batch))
+        values = (*self._place, encode_orders([(t or b"", seq or b"") for t, seq in batch]))
         return self._piece.table.send(bind(self._these(), values, self._at_once))
-
-
-def _pairs(keys: Sequence[RawRow]) -> bytes:
-    """Encode pairs of encoded (t, seq) as a list of tuples."""
-    size = encode_int(8)
-    pairs = (encode_int(24) + size + (t or b"") + size + (seq or b"") for t, seq in keys)
-    return encode_int(len(keys)) + b"".join(pairs)
 
 
 def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:

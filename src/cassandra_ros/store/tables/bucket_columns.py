@@ -28,10 +28,14 @@ ActiveRange = Tuple[str, int, int, int]
 """Table and slot: a partition of cr_active; first and last of its buckets."""
 
 COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, t_min, t_max, toTimestamp(now())"
+"""Columns of cr_bucket that ``columns_of`` converts, as CQL."""
 PAGE_ROWS = 5000
 ACTIVE_PAGE_ROWS = 20_000
+"""Maximum number of rows in a page of cr_bucket, and of cr_active."""
 _NO_LONG = bytes(8)
+"""Encoded 0, in place of null."""
 _NEVER = (-(2**63)).to_bytes(8, "big", signed=True)
+"""In place of a heartbeat that is null."""
 
 
 class BucketColumns(NamedTuple):
@@ -52,6 +56,7 @@ class BucketColumns(NamedTuple):
     bytes: Longs
     t_min: Longs
     t_max: Longs
+    """Key times of the first and the last message, ns; 0 if they are not known yet."""
 
     def where(self, mask: Bools) -> BucketColumns:
         """Return the entries for which ``mask`` is true."""
@@ -79,8 +84,8 @@ def read_columns(
 def _ask(
     cassandra: Cassandra, cql: str, slot_range: SlotRange, single: bool
 ) -> Callable[[], BucketColumns]:
-    place, buckets, limit = slot_range
-    values = (*place, list(buckets), limit) if single else (*place, *buckets, limit)
+    key, buckets, limit = slot_range
+    values = (*key, list(buckets), limit) if single else (*key, *buckets, limit)
     rows = _ask_rows(cassandra, cql, values, PAGE_ROWS)
     return lambda: columns_of(rows())
 
@@ -118,20 +123,20 @@ def count_closed(
         f"SELECT node, bucket, entry, deleted FROM {table} "
         "WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
     )
-    total, others = 0, set()
-    requests = (_ask_rows(cassandra, cql, span, ACTIVE_PAGE_ROWS) for span in active_ranges)
+    total, uncounted = 0, set()
+    requests = (_ask_rows(cassandra, cql, values, ACTIVE_PAGE_ROWS) for values in active_ranges)
     for answer in sent_ahead(requests, REQUESTS_AT_ONCE):
         rows = answer()
-        moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
-        entries = [row[2] for row in rows if row[:2] not in moving]
+        not_final = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
+        entries = [row[2] for row in rows if row[:2] not in not_final]
         total += int(_longs([messages_in(entry) for entry in entries if entry]).sum())
-        others |= {((node or b"").decode(), decode_long(bucket)) for node, bucket in moving}
-    return total, others
+        uncounted |= {((node or b"").decode(), decode_long(bucket)) for node, bucket in not_final}
+    return total, uncounted
 
 
 def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
     """Convert rows of COLUMNS, as Cassandra stores their values, to columns of numbers."""
-    columns = list(zip(*rows)) or [()] * 10
+    columns = list(zip(*rows)) or [()] * 10  # ten empty columns if there are no rows
     bucket, writer, state, deleted, beat, count, size, t_min, t_max, now = columns
     writing = np.array([text == b"open" for text in state], bool)
     cut = np.array([flag == b"\1" for flag in deleted], bool)
@@ -143,6 +148,7 @@ def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
 
 
 def _longs(values: Sequence[bytes | None], null: bytes = _NO_LONG) -> Longs:
+    """Decode bigints; ``null`` is decoded in place of each None."""
     data = b"".join([null if value is None else value for value in values])
     return np.frombuffer(data, ">i8").astype(np.int64)
 

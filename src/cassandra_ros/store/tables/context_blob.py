@@ -24,6 +24,7 @@ MAX_CONTEXT_BYTES = 64 * 1024 * 1024
 """Maximum size of the JSON in bytes, so that a hostile or broken blob cannot fill the memory."""
 
 _GRAPH = ("publishers", "subscribers", "services", "types")
+"""Fields of NodeGraph, which the blob has beside ``params``."""
 Graph = Mapping[str, Sequence[str]]
 """Topic or service → names of nodes."""
 
@@ -41,8 +42,8 @@ class NodeGraph:
     @property
     def nodes(self) -> list[str]:
         """Names of all nodes, sorted."""
-        every = (self.publishers, self.subscribers, self.services)
-        return sorted({node for by_name in every for nodes in by_name.values() for node in nodes})
+        graphs = (self.publishers, self.subscribers, self.services)
+        return sorted({node for graph in graphs for nodes in graph.values() for node in nodes})
 
 
 @dataclass(frozen=True)
@@ -98,10 +99,16 @@ def decode_context(blob: bytes) -> RunContext:
 
 
 _MAX_DEPTH = 200
+"""Maximum number of lists and mappings in one another."""
 
 
 def _plain(value: object, place: str, depth: int) -> object:
-    """Return a value as JSON can hold it."""
+    """Return a value as JSON can hold it; raises InvalidOption.
+
+    Args:
+        place: Name of the parameter, for the error text.
+        depth: Number of lists and mappings around the value.
+    """
     if depth > _MAX_DEPTH:
         raise InvalidOption(f"parameter {place[:80]}… is nested deeper than {_MAX_DEPTH} levels")
     if value is None or isinstance(value, (bool, int, str)):

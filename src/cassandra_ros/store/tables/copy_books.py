@@ -25,6 +25,7 @@ from cassandra_ros.store.tables.side_tables import SideTables
 _TABLES, _BUCKETS, _BEATS = "cr_copy", "cr_copied", "cr_copied_beat"
 _KEY = ("target", "tbl", "node", "slot", "bucket", "writer")
 _VALUES = ("there", "heartbeat", "seen", "final", "rule", "rows", "n", "bytes", "t_max")
+"""Columns of cr_copied that put_bucket writes: fields of CopiedBucket."""
 _SLOT = "target = ? AND tbl = ? AND node = ? AND slot = ?"
 _READ = ", ".join(("node", "bucket", "writer", *_VALUES, "released"))
 _WHAT, _READING = "writing the books of copies", "reading the books of copies"
@@ -80,10 +81,11 @@ class CopiedBucket(NamedTuple):
     writes it, and it stays."""
 
     def confirms(self, row: BucketRow, tables: Iterable[str], rule: str = "") -> bool:
-        """Return whether one of tables has all rows of a bucket as the directory lists it now.
+        """Return whether one of some tables has all rows of a bucket as the directory lists it now.
 
         Args:
-            rule: With a rule, all rows that it takes.
+            tables: Names of tables of the target.
+            rule: What may leave out messages now; '' = all of them must be there.
         """
         same = self.final and self.heartbeat == row.heartbeat
         return same and self.there in tables and self.rule in ("", rule)
@@ -162,7 +164,7 @@ class CopyBooks:
     def beats(
         self, target: UUID, table: str, slot: int, node: str
     ) -> dict[tuple[int, int], datetime]:
-        """Return heartbeats by bucket and writer, as put_beat wrote them."""
+        """Return the heartbeats of a slot, (bucket, writer) → what put_beat wrote, if not None."""
         names, place = "bucket, writer, heartbeat", (target, table, node, slot)
         rows = self._tables.select(_BEATS, names, _SLOT, place, what=_READING)
         return {(bucket, writer): beat for bucket, writer, beat in rows if beat is not None}
@@ -178,14 +180,19 @@ class CopyBooks:
         self.put_table(replace(entry, there="", refused=_GONE))
 
     def doubt(self, target: UUID, table: str, names: Iterable[str]) -> None:
-        """Confirm no rows of a table that the target took into other tables than these."""
+        """Note that rows which the target took into other tables than these are confirmed no more.
+
+        Args:
+            table: Table of ours.
+            names: Tables of the target.
+        """
         for book in self.buckets(target, table, self.slots(target, table)):
             if book.there not in names and (book.final or book.n):
                 nothing = book._replace(final=False, seen=0, rows=0, n=0, bytes=0)
                 self.put_bucket(target, table, nothing)
 
     def forget_table(self, target: UUID, table: str) -> None:
-        """Delete the entries of a table that is no longer here."""
+        """Delete the entries of a table that is no longer here; may be repeated after an error."""
         keys = [(target, table, node, slot) for slot, node in self.slots(target, table)]
         what = "clearing the books of copies"
         for books in (_BUCKETS, _BEATS):

@@ -52,9 +52,11 @@ from cassandra_ros.store.tables.side_tables import SideTables
 SLOT_BUCKETS = 4096
 """Number of buckets in one partition of the directory."""
 ALL_ROWS = 2**31 - 1
+"""LIMIT of a request for all rows."""
 STALE_SEC = 60.0
 """Age of the heartbeat from which an open bucket has no living writer, s."""
 HEARTBEAT_SEC = 10.0
+"""Interval at which a writer marks its open buckets again, s."""
 TTL_MARGIN_SEC = 900
 """How much longer than its rows a bucket is listed, s: a row may be retried for this time."""
 CLOCKS_SEC = 2.0
@@ -74,7 +76,7 @@ FEW_SLOTS = 64
 MANY_NODES = 8
 """Maximum number of nodes for which the first window of the buckets of all nodes has rows."""
 MANY_SLOTS = 1024
-"""Maximum number of slots cached for one table."""
+"""Number of slots cached for one table from which they are forgotten when further ones come."""
 WIDER = 4
 """Ratio between the sizes of two consecutive windows."""
 
@@ -88,6 +90,7 @@ _OWN_TABLES = ("cr_node", "cr_bucket", "cr_active")
 _COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
 _ACTIVE_COLUMNS = "bucket, node, writer, entry, deleted, heartbeat, toTimestamp(now())"
 _EVER = (-(2**63), 2**63 - 1)
+"""First and last slot that there can be."""
 UNLISTED_SLOTS = 16
 """Maximum number of slots that are read without a list of those that have buckets."""
 BucketKey = Tuple[str, str, int, int]
@@ -103,12 +106,17 @@ class BucketRow(NamedTuple):
     closed: bool
     """Whether the counts are final."""
     heartbeat: datetime | None
+    """Server time of the last mark; None = there is none."""
     rows: int
+    """Number of messages, of blocks too."""
     bytes: int
+    """Number of serialised bytes of the messages."""
     largest: int
     """Size of the largest message that is stored in its row (not in chunks), bytes."""
     t_min: int
+    """Key time of the first message, ns; 0 = unknown."""
     t_max: int
+    """Key time of the last message, ns; -1 = unknown."""
     odd: int
     """Number of messages with a field that the server cannot check. A block with one such message
     counts with all its messages."""
@@ -165,7 +173,12 @@ class BucketTotals:
     def add(self, rows: int, nbytes: int, largest: int, ends: tuple[int, int], odd: bool) -> None:
         """Add a block.
 
-        Its number of messages, their bytes, the largest, first and last time, odd.
+        Args:
+            rows: Number of its messages.
+            nbytes: Number of their serialised bytes.
+            largest: Size of the largest one, bytes; 0 = it is in chunks.
+            ends: First and last key time, ns.
+            odd: Whether the block is marked odd.
         """
         self.rows += rows
         self.bytes += nbytes
@@ -174,13 +187,14 @@ class BucketTotals:
         self.odd += rows * odd
 
     def columns(self) -> dict[str, int]:
-        """Return the counts by the names of their columns in cr_bucket."""
+        """Return the counts by the names of their columns in cr_bucket, in the order of UNKNOWN."""
         return {"n": self.rows, **{name: v for name, v in vars(self).items() if name != "rows"}}
 
 
 _ENTRY = struct.Struct(">?6q")
+"""Bytes of an ActiveEntry before the names."""
 UNKNOWN = (0, 0, 0, 0, -1, 0)
-"""Counts of a bucket of which none were noted yet."""
+"""Counts of a bucket of which none were noted yet: messages, bytes, largest, t_min, t_max, odd."""
 
 
 class ActiveEntry(NamedTuple):
@@ -194,8 +208,9 @@ class ActiveEntry(NamedTuple):
     closed: bool
     """Whether the counts are final."""
     counts: Sequence[int] = UNKNOWN
-    """Messages, bytes, largest, t_min, t_max, odd: see BucketRow."""
+    """In the order of UNKNOWN; see BucketRow."""
     filled: Iterable[str] = ()
+    """Shadow columns that have values in all rows of the writer in the bucket."""
 
     def encoded(self) -> bytes:
         """Return the value of the column."""
@@ -221,7 +236,11 @@ answer."""
 
 
 class Directory:
-    """Reads and writes cr_node, cr_bucket and cr_active of one keyspace."""
+    """Reads and writes cr_node, cr_bucket and cr_active of one keyspace. Thread-safe.
+
+    In ranges of buckets or slots both ends are included. The values in the caches ``seen`` and
+    ``first`` are replaced, not changed, because several threads read them.
+    """
 
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
@@ -229,7 +248,9 @@ class Directory:
         names = map(side_tables.qualified, _OWN_TABLES)
         self._node_table, self._bucket_table, self._active_table = names
         self._made = False
+        """Whether the tables of the directory are known to exist."""
         self._noted: dict[tuple[str, int, str], float] = {}
+        """Table, slot and node → monotonic time at which ``note`` wrote them last, s."""
         self.seen: dict[str, dict[int, tuple[str, ...]]] = {}
         """Table → slot → nodes, as listed last; may be out of date, or only some of many."""
         self.first: dict[tuple[str, bool], tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
@@ -237,7 +258,10 @@ class Directory:
         few rows began; see ``foresee`` in store/rows/reader.py."""
 
     def patient(self, retry_sec: Seconds) -> Directory:
-        """Return a copy for one writer, which retries each request for ``retry_sec``."""
+        """Return a copy for one writer, which retries each request for ``retry_sec``.
+
+        It shares the caches, but notes its slots itself.
+        """
         directory = copy(self)
         directory._tables = self._tables.patient(retry_sec)
         directory._noted = {}
@@ -279,7 +303,8 @@ class Directory:
             nodes: The nodeIDs to read; None = all.
 
         Returns:
-            One row for each writer; do not compare the heartbeats with others.
+            One row for each bucket, node and writer. The heartbeats are those of cr_bucket if
+            ``nodes`` is given, otherwise those of cr_active: compare them with no others.
         """
         if nodes is None:
             rows = self.buckets_by_time(table, first, last)
@@ -307,7 +332,7 @@ class Directory:
         return [row for answer in sent_ahead(requests, REQUESTS_AT_ONCE) for row in answer()]
 
     def _slots_between(self, table: str, first: int, last: int) -> Iterable[int]:
-        """Return the slots in [first, last] that may have buckets of a table."""
+        """Return the slots in [first, last] that may have buckets of a table, ascending."""
         if last - first < UNLISTED_SLOTS:
             return range(first, last + 1)
         if not self._is_made():
@@ -352,30 +377,30 @@ class Directory:
 
         Returns:
             The number of messages, and the rows of the buckets that are not counted: in these some
-            writer's counts are not final.
+            writer's counts were not final. Meanwhile they may be.
         """
         if not self._is_made():
             return 0, []
         slots = self._slots_between(table, slot_of(first), slot_of(last))
         ranges = ((table, slot, first, last) for slot in slots)
-        count, others = count_closed(self._cassandra, self._active_table, ranges)
-        # In which some writer may have closed its rows meanwhile.
-        again = (
+        count, uncounted = count_closed(self._cassandra, self._active_table, ranges)
+        # Read again: of the first read only their keys were taken.
+        requests = (
             self.begin_active(table, slot_of(bucket), bucket, bucket)
-            for bucket in sorted({bucket for _, bucket in others})
+            for bucket in sorted({bucket for _, bucket in uncounted})
         )
-        rows = (row for answer in sent_ahead(again, REQUESTS_AT_ONCE) for row in answer())
-        return count, [row for row in rows if (row.node, row.bucket) in others]
+        rows = (row for answer in sent_ahead(requests, REQUESTS_AT_ONCE) for row in answer())
+        return count, [row for row in rows if (row.node, row.bucket) in uncounted]
 
     def find_active(self, table: str, node: str, bucket: int) -> list[BucketRow]:
-        """Return the rows of all writers for one bucket, from cr_active."""
+        """Return the rows of all writers for one bucket and node, from cr_active."""
         where = "tbl = ? AND slot = ? AND bucket = ? AND node = ?"
         params, what = (table, slot_of(bucket), bucket, node), "reading the directory by time"
         rows = self._tables.select("cr_active", _ACTIVE_COLUMNS, where, params, what=what)
         return list(map(_active_row, rows))
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
-        """Return the rows of all writers for one bucket."""
+        """Return the rows of all writers for one bucket and node, from cr_bucket."""
         requests = self.begin_buckets([(table, node, slot_of(bucket), bucket, bucket)])
         return [row for answer in requests for row in answer()]
 
@@ -404,7 +429,12 @@ class Directory:
             yield partial(_bucket_rows, bounds[1], request)
 
     def keep_slots(self, table: str, span: range, slots: Sequence[_Slot]) -> None:
-        """Cache the listed nodes of some slots for the next read."""
+        """Cache the listed nodes of some slots for the next read.
+
+        Args:
+            span: The slots that were asked for: what was cached of them is replaced.
+            slots: Those that have nodes, with these.
+        """
         others = {s: n for s, n in self.seen.get(table, {}).items() if s not in span}
         self.seen[table] = {**(others if len(others) < MANY_SLOTS else {}), **dict(slots)}
 
@@ -461,7 +491,11 @@ class Directory:
         self._tables.insert("cr_node", columns, what, ttl=_ttl(ttl))
 
     def note(self, table: RowTable, node: str, bucket: int) -> None:
-        """Add the slot of a bucket, before rows are written, unless that was done not long ago."""
+        """Add the slot of a bucket to cr_node, before rows are written.
+
+        If rows of the table expire, so does the entry, and it is written again every NOTE_SEC.
+        Otherwise it is written once by each writer.
+        """
         slot = (table.name, slot_of(bucket), node)
         # Rows found by name have no other entry in the directory, so this one never expires.
         ttl = 0 if table.named else table.metadata.ttl
@@ -480,12 +514,13 @@ class Directory:
         closed: bool = False,
         deleted: bool = False,
     ) -> None:
-        """Write a writer's counts of a bucket, with a new heartbeat.
+        """Write a writer's counts of a bucket, with a new heartbeat, to cr_bucket and cr_active.
 
         Args:
             ttl: Lifetime of the table's rows, seconds; 0 = for ever.
             filled: Shadow columns that all of the writer's rows in the bucket have and will have.
-            totals: Counts, final if closed, otherwise estimates; None = leave those that are there.
+            totals: Counts, final if closed, otherwise estimates. None = leave those of cr_bucket as
+                they are, and write UNKNOWN to cr_active, which has all counts in one column.
             deleted: Only note that rows were deleted, so no count is final until the next recount.
                 It is a separate column because a living writer closes the bucket with its own
                 counts.
@@ -498,14 +533,14 @@ class Directory:
             columns.update(totals.columns() if totals is not None else {})
             counts = UNKNOWN if totals is None else tuple(totals.columns().values())
             active["entry"] = ActiveEntry(closed, counts, filled).encoded()
-        both = ((self._bucket_table, columns), (self._active_table, active))
+        entries = ((self._bucket_table, columns), (self._active_table, active))
         # One request, which is acknowledged when both are written; both get one write time.
         inserts = "; ".join(
-            f"INSERT INTO {listing} ({', '.join(some)}, heartbeat) "
-            f"VALUES ({', '.join('?' * len(some))}, toTimestamp(now())) USING TTL ?"
-            for listing, some in both
+            f"INSERT INTO {listing} ({', '.join(values)}, heartbeat) "
+            f"VALUES ({', '.join('?' * len(values))}, toTimestamp(now())) USING TTL ?"
+            for listing, values in entries
         )
-        params = [value for _, some in both for value in (*some.values(), _ttl(ttl))]
+        params = [value for _, values in entries for value in (*values.values(), _ttl(ttl))]
         what, retry_sec = "writing the directory of buckets", self._tables.retry_sec
         cql = f"BEGIN UNLOGGED BATCH {inserts}; APPLY BATCH"
         self._cassandra.execute(cql, params, what=what, retry_sec=retry_sec)
@@ -514,7 +549,7 @@ class Directory:
         """Close a bucket that has no living writer; return whether that was done.
 
         It is not done if the bucket has changed since ``row`` was read, which must be by ``find``
-        and before its data rows are counted.
+        and before its data rows are counted: the heartbeat of cr_bucket tells.
         """
         columns = {"filled": set(row.filled), **totals.columns()}
         key = _key((table, row.node, row.bucket, row.writer))
@@ -542,7 +577,7 @@ class Directory:
         return is_done
 
     def put_by_time(self, table: str, row: BucketRow, ttl: int, since_us: int) -> None:
-        """Write a row that was read from cr_bucket into cr_active.
+        """Write a row that was read from cr_bucket into cr_active, where it is missing or wrong.
 
         Args:
             ttl: Lifetime of the table's rows, seconds; 0 = for ever.
@@ -568,7 +603,7 @@ class Directory:
         return {table for (table,) in rows}
 
     def delete_entries(self, table: str) -> None:
-        """Delete all entries of a table that was dropped."""
+        """Delete all entries of a table that was dropped; may be repeated after an error."""
         slots = [(table, node, slot) for slot, node in self.nodes(table, *_EVER)]
         key = ("tbl", "node", "slot")
         self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
@@ -577,6 +612,7 @@ class Directory:
         self.seen.pop(table, None)
         for reverse in (False, True):
             self.first.pop((table, reverse), None)
+        # Last, because a repetition finds the slots by them.
         self._tables.delete("cr_node", ("tbl",), [(table,)], "clearing the directory")
 
 
@@ -584,7 +620,7 @@ class BucketWalk:
     """The buckets of one table in [first, last], in order of time, or newest first.
 
     Args:
-        nodes: nodeIDs to read; None = all.
+        nodes: nodeIDs to read; None = all. With None it reads cr_active, otherwise cr_bucket.
         few: Whether probably only few of the buckets are needed.
 
     Attributes:
@@ -614,9 +650,10 @@ class BucketWalk:
         self.met: set[str] = set()
 
     def groups(self) -> Iterator[BucketGroup]:
-        """Yield the buckets of all nodes in order of time.
+        """Yield the buckets of all nodes in order of time, and in each those of its nodes.
 
-        If few are needed, an empty group is yielded before each further request.
+        Buckets whose rows have all expired are left out. If few are needed, an empty group is
+        yielded before each further request, so that the caller can stop without waiting for it.
         """
         limit = FEW_BUCKETS if self._few else ALL_ROWS
         slots = self._slots()
@@ -630,8 +667,8 @@ class BucketWalk:
                 continue
             low, high = self._inside(slot)
             # Only for the first slot: later ones need a larger window.
-            request = early if guess is not None and self._same(slot, guess) else None
-            request = None if has_begun else request
+            is_guessed = not has_begun and guess is not None and self._same(slot, guess)
+            request = early if is_guessed else None
             while low <= high:
                 if has_begun and self._few:
                     yield (high if self._reverse else low), []
@@ -663,7 +700,8 @@ class BucketWalk:
             if len(rows) < limit:
                 first, last = 1, 0
             else:
-                # Further nodes of this slot may follow, which cr_active lists, too.
+                # Further nodes of the last slot may follow. By time its buckets are read without
+                # them; otherwise it is listed again, from its first node on.
                 cut, step = (slots[-1][0], 1) if self._by_time else (slots.pop()[0], 0)
                 first, last = (first, cut - step) if self._reverse else (cut + step, last)
                 limit = min(ALL_ROWS, WIDER * limit)
@@ -672,7 +710,7 @@ class BucketWalk:
             yield from [slot for slot in map(self._restrict, slots) if slot is not None]
 
     def _restrict(self, slot: _Slot) -> _Slot | None:
-        """Leave out the nodes that are not to be read; return None if there are no others."""
+        """Leave out the nodes that are not to be read; return None if no node is left."""
         nodes = tuple(n for n in slot[1] if self._nodes is None or n in self._nodes)
         self.met.update(nodes)
         return (slot[0], nodes) if nodes else None
@@ -702,7 +740,11 @@ class BucketWalk:
         return (iter(()) if first is None else chain((first,), requests)), limit
 
     def _window(self, request: _Request, low: int, high: int) -> tuple[list[Group], int]:
-        """Return the next buckets, and the last bucket (included) up to which they are complete."""
+        """Return the next buckets, and the last bucket (included) up to which they are complete.
+
+        That one lies outside of the range if the answer was cut off in the first bucket: then there
+        are no buckets, and a larger answer is needed.
+        """
         end = low if self._reverse else high
         answers, limit = request
         entries: list[BucketRow] = []
@@ -710,7 +752,8 @@ class BucketWalk:
             rows = answer()
             entries += rows
             if len(rows) == limit:
-                cut = rows[-1].bucket  # further writers of this bucket may follow
+                # The answer was cut off, and further writers of its last bucket may follow.
+                cut = rows[-1].bucket
                 end = max(end, cut + 1) if self._reverse else min(end, cut - 1)
         groups: dict[tuple[int, str], Group] = {}
         for row in entries:
@@ -733,6 +776,7 @@ def _ttl(ttl: int) -> int:
 
 
 def _bucket_rows(node: str, answer: Callable[[], list[CqlRow]]) -> list[BucketRow]:
+    """Wait for rows of cr_bucket of one node and return them."""
     return [_bucket_row(node, row) for row in answer()]
 
 
@@ -758,5 +802,5 @@ def _active_row(row: CqlRow) -> BucketRow:
 
 
 def _age(heartbeat: datetime | None, now: datetime) -> float:
-    """Return the time since a heartbeat, s."""
+    """Return the time since a heartbeat, s; without a heartbeat one that counts as stale."""
     return STALE_SEC + 1 if heartbeat is None else (now - heartbeat).total_seconds()

@@ -10,6 +10,7 @@ from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import chunk_table_name
 
 _CHUNKS = chunk_table_name("")
+"""End of the names of chunk tables."""
 MIB = 1 << 20
 
 

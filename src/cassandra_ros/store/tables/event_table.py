@@ -26,7 +26,9 @@ _AT_ONCE = 4
 """Number of slots that are read together. Their events are in memory at the same time."""
 _EVENT, _SLOT = "cr_event", "cr_event_slot"
 _COLUMNS = ("slot", "name", "t_start", "node", "id", "t_end", "writer", "labels", "vals")
+"""Columns of cr_event; the first five are the key."""
 _NAMES = ", ".join(_COLUMNS[1:])
+"""Columns that are read, as CQL."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -116,7 +118,8 @@ class EventTable:
         """Yield the events that meet a time range, in order of their starts, a few slots at once.
 
         Args:
-            names: Names of the events; more may be yielded for a beginning without end.
+            names: Names of the events. For a beginning of nothing but U+10FFFF, events with later
+                names may be yielded, too.
             within: Time range, ns.
         """
         where, values = _condition(names)
@@ -129,7 +132,10 @@ class EventTable:
                 yield from sorted(events, key=Event.order)
 
     def _slots(self, names: Names, within: TimeRange) -> list[int]:
-        """Return the slots in which events of some names begin that may meet a time range."""
+        """Return the slots, ascending, in which events of some names may meet a time range.
+
+        If not the whole name is given, these are the slots with events of any name.
+        """
         low, high = (end // SLOT_NS for end in within)
         key = (True, names.text) if names.exact else (False, "")
         where, what = "named = ? AND name = ? AND slot <= ?", "reading where events lie"
@@ -150,7 +156,7 @@ def _condition(names: Names) -> tuple[str, tuple[str, ...]]:
 
 
 def _after(beginning: str) -> str | None:
-    """Return the first text after all texts with a beginning; None = no text is."""
+    """Return the first text after all texts with a beginning; None = there is no such text."""
     for n in reversed(range(len(beginning))):
         code = ord(beginning[n]) + 1
         code = 0xE000 if code == 0xD800 else code  # surrogates are not characters

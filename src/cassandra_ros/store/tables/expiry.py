@@ -14,9 +14,10 @@ from cassandra_ros.store.tables.schema import Schema
 STEPS = 100
 """Number of steps of a table's TTL to which remaining lifetimes are rounded up."""
 _PAGE_ROWS = 5000
-_LEFT = 'TTL("_conn")'
+_LIFETIME = 'TTL("_conn")'
 """The remaining lifetime of a column that each row has and that is never updated."""
 _WRITTEN = 'WRITETIME("_conn")'
+"""The write time of this column."""
 
 
 def rounded(lifetime: int, ttl: int) -> int:
@@ -26,15 +27,21 @@ def rounded(lifetime: int, ttl: int) -> int:
 
 
 def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:
-    """Return the maximum remaining lifetime of a bucket's rows, seconds; 0 = it has no rows."""
-    names, place = f"{KEYS}, {_LEFT}", table.partition_key(node, bucket)
+    """Return the maximum remaining lifetime of a bucket's rows, seconds.
+
+    It is 0 if the bucket has no rows, or if they do not expire.
+    """
+    names, place = f"{KEYS}, {_LIFETIME}", table.partition_key(node, bucket)
     rows = table.select_range(names, place, page_rows=_PAGE_ROWS).rows()
     return max((decode_long(values[2]) for values in rows), default=0)
 
 
 def left_by_name(table: RowTable) -> dict[Position, int]:
-    """Return the remaining lifetime of each row of a table whose rows have names; all in memory."""
-    return _by_name(table, _LEFT)
+    """Return the remaining lifetime of each row of a table whose rows have names, seconds.
+
+    It is 0 for rows that do not expire. All are in memory.
+    """
+    return _by_name(table, _LIFETIME)
 
 
 def written_by_name(table: RowTable) -> dict[Position, int]:
@@ -43,6 +50,8 @@ def written_by_name(table: RowTable) -> dict[Position, int]:
 
 
 def _by_name(table: RowTable, column: str) -> dict[Position, int]:
+    """Return a number of each row; ``column`` is CQL."""
+
     def read(rows: Iterable[RawRow]) -> dict[Position, int]:
         return {_position(values[:-1], table.name): decode_long(values[-1]) for values in rows}
 
@@ -50,6 +59,7 @@ def _by_name(table: RowTable, column: str) -> dict[Position, int]:
 
 
 def _position(values: RawRow, table: str) -> Position:
+    """Return the position of a row from the values of select_names."""
     node, name, t, seq, _, _, _, *received = values
     t, seq = received or (t, seq)
     texts = (node or b"").decode(), (name or b"").decode()

@@ -28,8 +28,11 @@ MERGES_END_SEC = 30.0
 BUILD_START_SEC = 30.0
 """How long Cassandra may take to begin to build an index, s."""
 PAUSE_SEC = 0.05
+"""Interval at which a wait asks the nodes, s."""
 _ENABLED = "enabled"
+"""Option of a table's compaction by which merging is forbidden."""
 _BUILD = "secondary index build"
+"""Kind of a task that builds an index."""
 
 
 class IndexBuilds:
@@ -47,6 +50,8 @@ class IndexBuilds:
 
     def pause_merging(self) -> None:
         """Forbid merging the table's files, and wait for merges in progress.
+
+        After another error merging may stay paused, which is logged.
 
         Raises:
             StoreUnavailable: Files are still being merged after 30 s; merging is allowed again.
@@ -152,7 +157,14 @@ class IndexBuilds:
                 self._lock.change(cql, what=what)
 
     def await_builds(self, names: AbstractSet[str], seconds: float) -> None:
-        """Wait until each node has begun the last of the table's indexes, or has built them all."""
+        """Wait until each node has begun the last of the table's indexes, or has built them all.
+
+        Args:
+            names: Names of all indexes that the schema has for the table.
+
+        Raises:
+            StoreUnavailable: A node has not begun after ``seconds``.
+        """
         deadline = time.monotonic() + seconds
         while not self._has_begun_on_each(names):
             if time.monotonic() > deadline:
@@ -165,6 +177,7 @@ class IndexBuilds:
             time.sleep(PAUSE_SEC)
 
     def _has_begun_on_each(self, names: AbstractSet[str]) -> bool:
+        """Return whether each node has begun to build every index; see ``begun``."""
         answers = self._cassandra.execute_on_each(
             "SELECT table_name, index_name, is_building FROM system_views.sai_column_indexes "
             "WHERE keyspace_name = ?",

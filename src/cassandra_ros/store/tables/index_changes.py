@@ -30,7 +30,15 @@ class IndexChanges:
         self._schema = schema
 
     def add_index(self, topic: str, field: str, type_of: TypeOf) -> None:
-        """Make the index on a field in each table of a topic that can have it, or complete it."""
+        """Make the index on a field in each table of a topic that can have it, or complete it.
+
+        In the other tables merging is resumed if a client that died has left it paused.
+
+        Raises:
+            StoreUnavailable: Files of a table are merged for too long, or a build does not begin.
+                Indexes of earlier tables stay; the call may be repeated.
+            SchemaConflict: The server refuses the index.
+        """
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
                 cql_type, shadow = type_of(metadata), metadata.indexes.get(field)
@@ -46,6 +54,7 @@ class IndexChanges:
     def _add_to(
         self, table: str, metadata: TopicMetadata, field: str, cql_type: str, lock: SchemaLock
     ) -> None:
+        """Make column, index and entry in the comment of a table that has no index on the field."""
         # A column that no comment lists was left by a client that died before it wrote the comment.
         columns, number = self._schema.columns(table), metadata.next_shadow
         while columns.get(shadow_column(number), cql_type) != cql_type:

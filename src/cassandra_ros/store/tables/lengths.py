@@ -9,8 +9,11 @@ from typing import NamedTuple
 from cassandra_ros.keys import SECOND_NS
 
 BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
+"""Lengths that a bucket may have, ns, ascending."""
 MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
+"""Sizes that a bucket should not exceed, because it is a partition: Cassandra slows down with those
+of more than 100 MB."""
 MAX_BLOCK_MESSAGES = 1024
 """Maximum number of messages in a block."""
 MAX_BLOCK_BYTES = 256 * 1024
@@ -19,6 +22,7 @@ MIN_SPAN_NS = 10_000_000
 UNKNOWN_SPAN_NS = 10 * SECOND_NS
 """Minimum time range of a block, ns; and the time range of a block if the rate is unknown, ns."""
 BLOCKS_IN_SPAN = 4
+"""Number of full blocks in the maximum time range of a block: so blocks are full before it ends."""
 
 
 class Lengths(NamedTuple):
@@ -56,7 +60,7 @@ def span_for(rate_hz: float, bytes_per_sec: float) -> int:
     """Return the maximum time range of a block of a connection, ns.
 
     It is the time of four full blocks at this rate of messages and of serialised bytes a second,
-    at least 10 ms; 10 s if the rate is unknown (0).
+    from 10 ms to 1 day; 10 s if the rate is unknown (0).
     """
     if not rate_hz:
         return UNKNOWN_SPAN_NS
@@ -67,7 +71,13 @@ def span_for(rate_hz: float, bytes_per_sec: float) -> int:
 
 
 def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:
-    """Return a bucket length of which at least 24 fit into a TTL; 0 = rows do not expire."""
+    """Return the longest bucket length, at most ``bucket_ns``, of which 24 fit into a TTL.
+
+    It is 1 s if no length is that short.
+
+    Args:
+        ttl_sec: 0 = rows do not expire, and the result is ``bucket_ns``.
+    """
     if not ttl_sec:
         return bucket_ns
     longest = min(bucket_ns, ttl_sec * SECOND_NS // 24)

@@ -21,18 +21,18 @@ from cassandra_ros.store.connection.cassandra import CqlRow
 from cassandra_ros.store.tables.side_tables import SideTables
 
 _VISIT = ("frame", "robot", "size", "x", "y", "node", "t_in", "writer", "t_out")
-_DONE = ("tbl", "node", "writer", "robot", "low", "high", "frames", "above")
+"""Columns of cr_place: those of a Square, then the other fields of a VisitRow."""
+_POSES = ("tbl", "node", "writer", "robot", "low", "high", "frames", "above")
+"""Columns of cr_placed: the fields of IndexedPoses."""
 _LONGER_SEC = 86400
-"""How much longer than the rows of cr_placed the visits stay, s."""
+"""How much longer than the rows of cr_placed the visits stay, s, so that none is missing."""
 
 
 class Square(NamedTuple):
-    """A square of the ground for one robot.
-
-    Frame = a tf frame, or a table with the robot's poses.
-    """
+    """A square of the ground for one robot."""
 
     frame: str
+    """A tf frame, or the table with the robot's poses."""
     robot: str
     size: int
     """Length of its side, m."""
@@ -83,24 +83,25 @@ class PlaceIndex:
     def put(self, visits: Sequence[VisitRow], poses: Iterable[IndexedPoses], ttl: int = 0) -> None:
         """Write visits, and then the poses whose visits are complete.
 
-        For ttl seconds, 0 = for ever.
+        Args:
+            ttl: How long the rows of poses stay, s; 0 = for ever. Visits stay longer.
         """
         self._tables.make("cr_place", "cr_placed")
         rows = [(*square, *rest) for square, *rest in visits]
         longer = ttl + _LONGER_SEC if ttl else 0
         self._tables.insert_many("cr_place", _VISIT, rows, "noting where robots were", ttl=longer)
         pose_rows = [
-            (d.table, d.node, d.writer, d.robot, d.low, d.high, set(d.frames), dict(d.above))
-            for d in poses
+            (p.table, p.node, p.writer, p.robot, p.low, p.high, set(p.frames), dict(p.above))
+            for p in poses
         ]
         what = "noting how far the index of places goes"
-        self._tables.insert_many("cr_placed", _DONE, pose_rows, what, ttl=ttl)
+        self._tables.insert_many("cr_placed", _POSES, pose_rows, what, ttl=ttl)
 
     def placed(self, tables: Sequence[str]) -> list[IndexedPoses]:
         """Return the rows of cr_placed of some tables."""
         what = "reading how far the index of places goes"
-        every = [(table,) for table in tables]
-        answers = self._tables.select_many("cr_placed", ", ".join(_DONE), "tbl = ?", every, what)
+        keys = [(table,) for table in tables]
+        answers = self._tables.select_many("cr_placed", ", ".join(_POSES), "tbl = ?", keys, what)
         return [_poses_of(row) for rows in answers for row in rows]
 
     def visits(

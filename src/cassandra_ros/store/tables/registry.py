@@ -21,7 +21,7 @@ from cassandra_ros.store.tables.context_blob import RunContext, decode_context, 
 from cassandra_ros.store.tables.side_tables import SideTables
 
 OWN_LABELS = ("content",)
-"""Labels by which an import finds its run again."""
+"""Names of the labels by which an import finds its run again."""
 
 
 class StoredHeader(NamedTuple):
@@ -54,6 +54,7 @@ class Run:
     labels: Mapping[str, str] = field(default_factory=dict)
     stored: Mapping[str, int] = field(default_factory=dict)
     lost: Mapping[str, int] = field(default_factory=dict)
+    """Numbers of stored and of lost messages by topic, written when the run ends."""
 
     state: str = "ended"
     """'recording' (imports too), 'ended', or 'interrupted': the run was killed or failed."""
@@ -77,6 +78,7 @@ class Run:
 
 
 _RUN = tuple(f.name for f in fields(Run) if f.name not in ("state", "first_ns", "last_ns"))
+"""Columns of cr_run: the fields that are stored, in their order."""
 
 
 class SignOfLife(NamedTuple):
@@ -117,6 +119,7 @@ class Loss:
     first_ns: int
     """Time of the first lost message, or of the beginning of the time range with losses, ns."""
     last_ns: int
+    """Time of the last lost message, or of the end of the time range, ns."""
     count: int
     """Number of lost messages; 0 = the number is unknown."""
 
@@ -124,7 +127,7 @@ class Loss:
 _HEADER = ("tbl", "conn", "def_hash", "topic", "number", "header", "def_offset", "md5sum")
 _OF_RUN = {"cr_context": ("heartbeat", "interrupted", "context"), "cr_sent": ("stripe", "sent")}
 """Tables with further rows of a run, and their columns beside writer and node."""
-_LOSS = "node, writer, kind, first, last, n"
+_LOSS = "topic, node, writer, kind, first, last, n"
 
 
 class Registry:
@@ -223,7 +226,8 @@ class Registry:
     def put_run(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
         """Write a run; the server adds the time at which it started or ended.
 
-        A time that the run itself has, because the store was away then, is written as it is.
+        A time that the run itself has, because the store was away then, is written as it is. What
+        is None in the run stays as it is stored.
         """
         columns = {name: getattr(run, name) for name in _RUN}
         columns = {name: value for name, value in columns.items() if value is not None}
@@ -263,7 +267,8 @@ class Registry:
     def move_run(self, run: Run, node: str) -> None:
         """Give the context, send times and losses of a run to its entry of another robot.
 
-        Then the entry of its own robot is deleted. It can be repeated.
+        The caller has written that entry. At last the entry of its own robot is deleted, so this
+        can be repeated after an error.
         """
         place, what = (run.writer, run.node), "giving a run another robot"
         for table, names in _OF_RUN.items():
@@ -278,7 +283,10 @@ class Registry:
         self.forget_run(*place, {loss.topic for loss in losses})
 
     def forget_run(self, writer: int, node: str, topics: Iterable[str]) -> None:
-        """Delete a run whose messages were deleted, its context, and its losses of some topics."""
+        """Delete a run whose messages were deleted, its context, and its losses of some topics.
+
+        Its row of cr_run goes last, so that the run is still found after an error.
+        """
         what, place = "removing a run", [(writer, node)]
         if self._tables.has("cr_loss"):
             losses = [(topic, node, writer) for topic in topics]
@@ -295,17 +303,13 @@ class Registry:
         self._tables.insert("cr_loss", columns, f"storing a loss of topic {loss.topic}")
 
     def losses(self, topics: Sequence[str] | None = None) -> list[Loss]:
-        """Return the losses of some topics, or of all (None.
-
-        A full scan: losses are few), by time.
-        """
-        what, names = "listing the losses", f"topic, {_LOSS}"
+        """Return the losses of some topics by time; None = of all (a full scan: losses are few)."""
+        what, select = "listing the losses", self._tables.select
         if topics is None:
-            rows = self._tables.select("cr_loss", names, what=what)
+            rows = select("cr_loss", _LOSS, what=what)
         else:
-            select = self._tables.select
-            every = (select("cr_loss", names, "topic = ?", (t,), what=what) for t in set(topics))
-            rows = [row for answer in every for row in answer]
+            answers = (select("cr_loss", _LOSS, "topic = ?", (t,), what=what) for t in set(topics))
+            rows = [row for answer in answers for row in answer]
         return sorted(map(_loss, rows), key=lambda loss: (loss.first_ns, loss.topic, loss.writer))
 
     def forget_losses(self, topic: str) -> None:
@@ -337,7 +341,8 @@ class Registry:
     def put_context(self, writer: int, node: str, context: RunContext) -> None:
         """Write parameters and node graph of a run.
 
-        Raises InvalidOption if they cannot be encoded.
+        Raises:
+            InvalidOption: They cannot be encoded.
         """
         blob = encode_context(context)
         self._tables.make("cr_context")
@@ -346,7 +351,11 @@ class Registry:
         self._tables.insert("cr_context", columns, what, now=["heartbeat"])
 
     def get_context(self, writer: int, node: str) -> RunContext | None:
-        """Return parameters and node graph of a run; None if they were not stored."""
+        """Return parameters and node graph of a run; None if they were not stored.
+
+        Raises:
+            CorruptMessage: The stored bytes are damaged.
+        """
         where, what = "writer = ? AND node = ?", "reading the parameters of a run"
         rows = self._tables.select("cr_context", "context", where, (writer, node), what=what)
         return None if not rows or rows[0][0] is None else decode_context(rows[0][0])

@@ -15,7 +15,7 @@ SETTLE_SEC = CACHE_SEC + 1.0
 
 
 def clear(schema: Schema, topic: str, forget: Callable[[str], None]) -> None:
-    """Drop the tables that killed conversions of a topic left.
+    """Drop the tables of a topic that are not read: conversions that were killed have left them.
 
     Args:
         forget: Deletes the entries of a table; see ``drop``.

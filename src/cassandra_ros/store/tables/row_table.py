@@ -24,6 +24,7 @@ from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Stat
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.read import Terms
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import chunk_table_name, qualified, quote_name
 from cassandra_ros.store.connection.protocol import Offsets
@@ -47,25 +48,31 @@ ODD = b"\x01"
 """Encoded value of ``_odd``."""
 MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
 _PACK = struct.Struct(">qqqi")
+"""Values of ``_t``, ``_seq``, ``_conn`` and ``_size``, encoded, one after the other."""
 _SPLIT = struct.Struct("8s8s8s4s")
+"""The same as four byte strings."""
 _LONG = struct.Struct(">q")
 _INT = struct.Struct(">i")
 _OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
+"""Our own columns of a message's row after its partition key, with which each listing begins."""
 _BLOCK = ("_last", "_n", "_data", "_crc", "_nchunks", "_odd", "_gone", "_nan")
+"""Our own columns of a block's row after the first four of _OWN."""
 KEYS = '"_t", "_seq"'
+"""Columns of the key of a row in its partition, as CQL."""
 COUNTED_COLUMNS = '"_t", "_seq", "_size", "_nchunks", "_odd"'
+"""Columns that a count needs, as CQL."""
 _RANGE = 'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
 _ROW = 'AND "_t" = ? AND "_seq" = ?'
 _OLDER = "USING TIMESTAMP ? "
 _NEWEST = ' ORDER BY "_t" DESC, "_seq" DESC'
 _T = TypeVar("_T")
 
-Terms = Tuple[Tuple[str, str, bytes], ...]
-"""Conditions for the server, joined by AND: column, operator and encoded value of each."""
 Order = Tuple[int, int]
 """``_t`` and ``_seq`` of a row: its place in its partition."""
 FIRST: Order = (-(2**63), MIN_SEQ)
+"""An Order before those of all rows."""
 LAST: Order = (2**63 - 1, MAX_SEQ)
+"""An Order after those of all rows."""
 ALL = (FIRST, LAST)
 """Range of a whole partition."""
 Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
@@ -92,8 +99,11 @@ class NewRow(NamedTuple):
     """Encoded values of the format's columns and of the columns with the receive time (None =
     unset). None instead of all: they are encoded when the batch of the row is sent."""
     odd: bool = False
+    """Whether the row must be marked odd, because some column does not hold its field exactly."""
     raw: bytes | None = None
+    """The message, if the columns cannot give it back."""
     name: str = ""
+    """Name of a row that is found by name; '' otherwise."""
 
 
 class SentRequest(NamedTuple):
@@ -157,7 +167,8 @@ class RowTable:
         partition: Name of the second column of the partition key.
         packed: Whether a row of the table is a block; readers get each message as a row.
         bucket_ns: Length of a time bucket, ns.
-        zone_columns: Columns with minimum and maximum values in a block.
+        columns: Names of the format's columns.
+        zone_columns: Names of the columns with minimum and maximum values in a block.
         longest_text: Maximum size of a text of a large message that has a column, bytes of UTF-8.
     """
 
@@ -185,18 +196,24 @@ class RowTable:
         self.partition = metadata.partition
         self.packed = metadata.packed
         self.bucket_ns = metadata.bucket_ns
+        # Conditions on the partition key: its two parameters come first in each statement.
         self._where = f'WHERE "_node" = ? AND "{self.partition}" = ?'
-        self._once = metadata.key_format == "hash"
+        self._stores_once = metadata.key_format == "hash"
+        """Whether equal messages share a row, in the order (0, 0)."""
         self._received = tuple(metadata.received_columns)
-        self._plain = not (self._received or self.named)
-        self._every = self.listing(self.columns)
+        self._has_plain_keys = not (self._received or self.named)
+        """Whether the keys of a row say its position and its receive time."""
+        self._whole_listing = self.listing(self.columns)
         self.known_nodes: set[str] = set()
         """nodeIDs known to have written to the table; there may be more."""
         self.has_chunks = False
         """Whether the chunk table is known to exist."""
 
     def follow(self, metadata: TopicMetadata) -> None:
-        """Take over the present metadata from the comment of the table."""
+        """Take over the present metadata from the comment of the table.
+
+        What the constructor took from the metadata never changes.
+        """
         self.metadata = metadata
 
     def note_chunks(self) -> None:
@@ -208,7 +225,7 @@ class RowTable:
         return t_ns // self.bucket_ns
 
     def partition_key(self, node: str, where: int | str) -> tuple[bytes, bytes]:
-        """Encode the partition key of a bucket, or of the rows with a name."""
+        """Encode the partition key of a bucket, or of the rows with a name; ``where`` is either."""
         key = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
         return node.encode("utf-8"), key
 
@@ -218,7 +235,7 @@ class RowTable:
 
     def stored_order(self, t: int, seq: int) -> Order:
         """Return ``_t`` and ``_seq`` as stored: both 0 if equal messages are stored once."""
-        return (0, 0) if self._once else (t, seq)
+        return (0, 0) if self._stores_once else (t, seq)
 
     def key_of(self, row: TableRow) -> tuple[bytes, ...]:
         """Encode the primary key of a stored row."""
@@ -233,6 +250,7 @@ class RowTable:
         """Return the INSERT of a row.
 
         Args:
+            shadows: Columns of indexes, whose values come last.
             full: Include the columns of chunks and ``_raw``, which few rows need.
         """
         own_columns = _OWN if full else _OWN[:4]
@@ -259,18 +277,19 @@ class RowTable:
         return (*_OWN, *self.columns, *self._received)
 
     def insert_stored(self, names: Sequence[str], *, expires: bool) -> PreparedStatement:
-        """INSERT of a row with these columns after its partition key.
+        """Return the INSERT of a row with these columns after its partition key.
 
-        Expires: the last parameter is the time to live, s.
+        Args:
+            expires: The last parameter is the time to live, s.
         """
-        every = ("_node", self.partition, *names)
-        marks = ", ".join("?" * len(every))
-        ends = " USING TTL ?" if expires else ""
-        cql = f"INSERT INTO {self.qualified} ({_list(every)}) VALUES ({marks}){ends}"
+        all_names = ("_node", self.partition, *names)
+        marks = ", ".join("?" * len(all_names))
+        using = " USING TTL ?" if expires else ""
+        cql = f"INSERT INTO {self.qualified} ({_list(all_names)}) VALUES ({marks}){using}"
         return self._prepare(cql)
 
     def insert_stored_chunk(self) -> PreparedStatement:
-        """INSERT of one chunk of a large message, with its time to live, s."""
+        """Return the INSERT of a chunk of a large message; the last parameter is its TTL, s."""
         names = _list(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
         values = "VALUES (?, ?, ?, ?, ?, ?) USING TTL ?"
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) {values}")
@@ -333,40 +352,49 @@ class RowTable:
         )
 
     def update(self, column: str) -> PreparedStatement:
-        """Return the UPDATE of a column of one row, with a timestamp and a time to live."""
+        """Return the UPDATE of a column of one row.
+
+        Parameters are the timestamp (us), the time to live (s, 0 = for ever), the value, the key.
+        """
         return self._prepare(
             f"UPDATE {self.qualified} USING TIMESTAMP ? AND TTL ? "
             f"SET {quote_name(column)} = ? {self._where} {_ROW}"
         )
 
     def delete_range(self, *, older: bool = False) -> str:
-        """Return the DELETE of a range of one partition, both ends included.
+        """Return the DELETE of a range of one partition, both ends included, as CQL.
+
+        Parameters, not encoded, are the partition key and ``_t`` and ``_seq`` of both ends.
 
         Args:
-            older: Delete only rows written up to a timestamp, which is the first parameter.
+            older: Delete only rows written up to a timestamp, us, which is the first parameter.
         """
         return f"DELETE FROM {self.qualified} {_OLDER if older else ''}{self._where} {_RANGE}"
 
     def delete_one(self, *, chunks: bool = False, older: bool = False) -> str:
-        """Return the DELETE of one row, or of its message's chunks; for older see delete_range."""
+        """Return the DELETE of one row, or of its message's chunks, as CQL; see delete_range."""
         table = self._chunks if chunks else self.qualified
         return f"DELETE FROM {table} {_OLDER if older else ''}{self._where} {_ROW}"
 
     def mark_gone(self) -> str:
-        """Return the UPDATE that adds to the positions of a block's deleted messages."""
+        """Return the UPDATE, as CQL, that adds to the positions of a block's deleted messages."""
         return f'UPDATE {self.qualified} SET "_gone" = "_gone" + ? {self._where} {_ROW}'
 
     def unmark_gone(self) -> str:
-        """Return the DELETE of the positions that mark_gone added, not of the block."""
+        """Return the DELETE, as CQL, of the positions that mark_gone added, not of the block."""
         return f'DELETE "_gone" FROM {self.qualified} {self._where} {_ROW}'
 
     def _prepare(self, cql: str) -> PreparedStatement:
         return self._cassandra.prepare(cql)
 
     def listing(self, columns: Sequence[str] | None = None) -> str:
-        """Return the columns that row_from_values reads, with some of the format's (None = all)."""
+        """Return the columns that row_from_values reads, as CQL.
+
+        Args:
+            columns: Those of the format's columns that are included; None = all.
+        """
         if columns is None:
-            return self._every
+            return self._whole_listing
         return _list((*_OWN, *self._received, *columns))
 
     def select_range(
@@ -387,9 +415,15 @@ class RowTable:
         """Request the rows of one partition in a range, or those of them after ``last``.
 
         Args:
-            names: Columns to read, as CQL; must begin with KEYS if there may be several pages.
+            names: Columns to read, as CQL; must begin with KEYS if there may be several pages,
+                because a read whose later page fails goes on after the key of the last row.
+            place: Partition key, encoded.
+            ends: First and last key, both included.
             terms: Conditions that the server checks.
+            page_rows: Maximum number of rows in a page; None = the driver's own.
             first_rows: Number of rows of the first page if it should be smaller; see PagedRead.
+            last: A row that an earlier read of these columns returned; None = from the beginning.
+            refused, on_page: See PagedRead.
         """
         checks = tuple((name, operator) for name, operator, _ in terms)
         statement = self._select(names, _in_range(checks, reverse))
@@ -407,13 +441,16 @@ class RowTable:
         A server finds a row by equal keys 60 us sooner than by a range that holds one key.
         """
         if seq is None:
-            statement = self._select(self._every, 'AND "_t" = ?')
+            statement = self._select(self._whole_listing, 'AND "_t" = ?')
             return self.send(bind(statement, (*place, encode_long(t)), 1))
-        statement = self._select(self._every, _ROW)
+        statement = self._select(self._whole_listing, _ROW)
         return self.send(bind(statement, (*place, encode_long(t), encode_long(seq))))
 
     def send(self, statement: Statement, what: str = "reading") -> PagedRead:
-        """Send a statement whose answer is one page, or of which only the first page is needed."""
+        """Send a statement whose answer is one page, or of which only the first page is needed.
+
+        If a later page fails, the read begins anew, and yields earlier rows a second time.
+        """
         return self._start(lambda last: statement, what)
 
     def _start(
@@ -440,6 +477,7 @@ class RowTable:
         """Pass all rows of a statement to ``make``; start again if one of its pages fails.
 
         Args:
+            make: Makes the result. It is called again after a failure, so it must have no effects.
             sent: Result of ``begin`` for this statement; None = it has not been sent.
         """
         requests = [sent] if sent is not None else []
@@ -459,13 +497,18 @@ class RowTable:
         return f"{what} topic {self.metadata.topic}"
 
     def is_rest(self, values: RawRow) -> bool:
-        """Return whether a row has expired except for the value of an index."""
+        """Return whether a row has expired except for the value of an index, which stays longer.
+
+        Args:
+            values: Columns of the row; the third must be one that each row has.
+        """
         return values[2] is None and bool(self.metadata.ttl)
 
     def row_from_values(self, node: str, values: RawRow, name: str = "") -> TableRow:
         """Return a row from the values of a listing.
 
-        Raises CorruptMessage if a key value is null.
+        Raises:
+            CorruptMessage: ``_conn`` or ``_size`` is null.
         """
         try:
             t, seq, conn, size = _PACK.unpack(b"".join(values[:4]))  # type: ignore[arg-type]
@@ -475,11 +518,11 @@ class RowTable:
                 "size: something else than this package wrote or updated it"
             ) from exc
         nchunks, crc, odd, raw = values[4:8]
-        if nchunks is None and odd is None and self._plain:
+        if nchunks is None and odd is None and self._has_plain_keys:
             head = t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:]
             return _new_row((*head, "", -1, None, 0))  # takes a third of the time, for every row
         received = decode_long(values[8]) if self._received else -1
-        if self._once:
+        if self._stores_once:  # the stored ones are 0
             t, seq = received, decode_long(values[9])
         columns = values[8 + len(self._received) :]
         flags = decode_long(nchunks), decode_long(crc), odd == ODD, raw
@@ -508,8 +551,15 @@ def encode_int(value: int) -> bytes:
 
 def encode_texts(values: Iterable[str]) -> bytes:
     """Encode a set of texts."""
-    every = sorted(value.encode("utf-8") for value in values)
-    return encode_int(len(every)) + b"".join(encode_int(len(raw)) + raw for raw in every)
+    encoded = sorted(value.encode("utf-8") for value in values)
+    return encode_int(len(encoded)) + b"".join(encode_int(len(raw)) + raw for raw in encoded)
+
+
+def encode_orders(orders: Sequence[tuple[bytes, bytes]]) -> bytes:
+    """Encode pairs of encoded ``_t`` and ``_seq`` as a list of tuples."""
+    size = encode_int(8)
+    pairs = (encode_int(24) + size + t + size + seq for t, seq in orders)
+    return encode_int(len(orders)) + b"".join(pairs)
 
 
 def _encode_ends(
@@ -526,6 +576,7 @@ def _encode_ends(
 
 @lru_cache(maxsize=1024)
 def _list(names: tuple[str, ...]) -> str:
+    """Return names of columns as CQL."""
     return ", ".join(quote_name(name) for name in names)
 
 

@@ -43,6 +43,7 @@ class TableListing:
 
     def __init__(self, every: Mapping[str, TopicMetadata]) -> None:
         self.every = every
+        # What a table that is being filled replaces is still read.
         filled = {name: m for name, m in every.items() if not m.filling}
         replaced = {old for m in filled.values() for old in m.replaces}
         self.visible = {name: m for name, m in filled.items() if name not in replaced}
@@ -88,6 +89,7 @@ _FEW_TABLES = 64
 """Maximum number of changed comments that are read one by one; more are read with all others."""
 _COMMENTS = "table_name, comment, writetime(comment)"
 _COLUMNS = "column_name, type"
+"""Columns of system_schema.tables and of system_schema.columns that are read."""
 NEW_TABLE_BUILD_SEC = 2.0
 """How long messages of a new table wait until Cassandra begins to build its indexes, s."""
 
@@ -99,10 +101,13 @@ OWN_COLUMNS = {
     "_odd": "boolean",
     "_raw": "blob",
 }
+"""Our own columns after the key that the tables of all formats have, name → CQL type."""
 KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
 """Type of the second part of the partition key: the bucket, or the name of a message."""
 _WINDOWS = 25
+"""Number of compaction windows in a TTL. The files of a window expire together."""
 CHUNK_TTL_MARGIN_SEC = 86_400
+"""How much longer than its row a chunk stays, s, because it is written before the row."""
 _ROWS = "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
 _PACKED = (  # compressed data stay as they are, with a checksum
     "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, 'min_compress_ratio': 1.1}"
@@ -111,15 +116,17 @@ _UNFINISHED = (
     "cassandra_ros makes the indexes of this table; one that stays like this was left by a "
     "client that died, is empty, and may be dropped"
 )
+"""Comment of a table whose indexes are being made: no listing has it, so nothing is written."""
 
 TablePlan = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
 """Metadata for a comment (``create`` chooses the generation), the columns of the format, and the
 columns with an index, both name → CQL type."""
 Planner = Callable[[Sequence[TopicMetadata]], TablePlan]
+"""Plans a table, given the metadata of the tables that its topic has or that it replaces."""
 
 
 class TableWish(NamedTuple):
-    """A table for new messages, that is found or made."""
+    """A table for new messages that is looked for, and made if it is missing."""
 
     key: tuple[str, Kind, str]
     """Topic, kind and format."""
@@ -136,7 +143,9 @@ class _NewTable(NamedTuple):
     name: str
     metadata: TopicMetadata
     columns: Mapping[str, str]
+    """All columns, name → CQL type."""
     large: bool
+    """Whether it gets its chunk table, too."""
 
     @property
     def shadows(self) -> Collection[str]:
@@ -176,14 +185,17 @@ class Schema:
         self.keyspace = side_tables.keyspace
         self._side_tables = side_tables
         self._listing: TableListing | None = None
-        self._known: dict[str, tuple[object, TopicMetadata | None]] = {}
+        self._parsed: dict[str, tuple[object, TopicMetadata | None]] = {}
         """Tables by name: when their comment was written, and what it says; None = no topic's."""
         self._read_at = 0.0
+        """Monotonic time before the listing was read, s."""
         self._changes = cassandra.schema_changes.of(side_tables.keyspace)
         self._mark: object = None
+        """Mark of the changes before the listing was read; another one = the listing is old."""
         self.seen: set[tuple[str, str]] = set()
         """(topic, format) of every table that was ever listed by this object."""
         self._mutex = threading.Lock()
+        """Held while comments are read, so one thread reads them for all."""
 
     def lock(self) -> SchemaLock:
         """Make the side tables if they are missing and return the lock of the schema."""
@@ -201,6 +213,7 @@ class Schema:
     def listing(self, *, fresh: bool = False) -> TableListing:
         """Return all topic tables, also replaced ones, by comments at most 2 s old, or fresh."""
         with self._mutex:
+            # Taken before the read: a change during it makes the listing old.
             now, mark = time.monotonic(), self._changes.mark
             old = mark is not self._mark or now - self._read_at > CACHE_SEC
             if self._listing is None or fresh or old:
@@ -232,25 +245,28 @@ class Schema:
         return format_name if heir is None else listing.every[heir].format
 
     def _comments(self, table: str = "") -> list[CqlRow]:
-        """Read name, comment and its time for all tables, or for one table, if it exists."""
+        """Read name, comment and its time for all tables (''), or for one table, if it exists."""
         return self._cassandra.system_schema("tables", _COMMENTS, self.keyspace, table)
 
     def _read(self) -> dict[str, TopicMetadata]:
-        """Read the comments of all topic tables, those that have not changed from memory."""
+        """Read the comments of all topic tables; those that have not changed are not parsed again.
+
+        The caller holds the mutex.
+        """
         entries: dict[str, tuple[object, TopicMetadata | None]] = {}
         changed = []
-        if self._known:
+        if self._parsed:
             names = "table_name, writetime(comment)"
             for name, time_us in self._cassandra.system_schema("tables", names, self.keyspace):
-                entry = self._known.get(name)
+                entry = self._parsed.get(name)
                 if entry is not None and entry[0] == time_us:
                     entries[name] = entry
                 else:
                     changed.append(name)
-        several = len(changed) > _FEW_TABLES or not self._known
-        for name, comment, time_us in self._comments() if several else self._comments_of(changed):
+        reads_all = len(changed) > _FEW_TABLES or not self._parsed
+        for name, comment, time_us in self._comments() if reads_all else self._comments_of(changed):
             entries[name] = (time_us, from_comment(comment or "", f"{self.keyspace}.{name}"))
-        self._known = entries
+        self._parsed = entries
         return self._note({name: metadata for name, (_, metadata) in entries.items()})
 
     def _note(self, tables: Mapping[str, TopicMetadata | None]) -> dict[str, TopicMetadata]:
@@ -265,7 +281,7 @@ class Schema:
         return [row for answer in rows for row in answer]
 
     def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
-        """Read the tables of a topic again; the caller has the lock.
+        """Read the tables of a topic that are read, name → metadata; the caller has the lock.
 
         Raises:
             TopicNotFound: The topic was removed.
@@ -284,6 +300,9 @@ class Schema:
 
         All are made under one lock, with one reading of the comments before and one after. A name
         is None if the table was dropped as soon as it was made.
+
+        Raises:
+            SchemaConflict: The lock is not free, or ran out, or a table is not what was made.
         """
         listing = self.listing()
         if any(self._find(listing, wish) is None for wish in wishes):
@@ -293,7 +312,7 @@ class Schema:
         return [self._find(listing, wish) for wish in wishes]
 
     def _make_missing(self, wishes: Sequence[TableWish], lock: SchemaLock) -> None:
-        """Make the tables that are missing, under the lock."""
+        """Make the tables that are missing, under the lock; one for all wishes that are alike."""
         listing = self.listing(fresh=True)
         tables: list[_NewTable] = []
         for wish in wishes:
@@ -384,7 +403,7 @@ class Schema:
         }
         by_name = {name: metadata for name, (_, metadata) in read.items()}
         with self._mutex:
-            self._known = {**self._known, **read}
+            self._parsed = {**self._parsed, **read}
             every = self._listing.every if self._listing else {}
             self._listing = TableListing({**every, **self._note(by_name)})
             # The lock excludes changes by other clients, so all that were pushed are our own.
@@ -403,7 +422,11 @@ class Schema:
         return dict(self._cassandra.system_schema("columns", _COLUMNS, self.keyspace, table))
 
     def ensure_chunk_table(self, table: RowTable) -> None:
-        """Make the chunk table for a topic's large messages if it is missing."""
+        """Make the chunk table for a topic's large messages if it is missing, under the lock.
+
+        Raises:
+            TopicNotFound: The table was dropped.
+        """
         if not table.has_chunks and not self._comments(chunk_table_name(table.name)):
             with self.lock() as lock:
                 self._make_chunk_table(table.name, table.metadata, lock)
@@ -424,9 +447,15 @@ class Schema:
         change: Callable[[TopicMetadata], TopicMetadata],
         check: Callable[[Mapping[str, TopicMetadata]], None] = lambda tables: None,
     ) -> None:
-        """Change the comments of a topic's tables.
+        """Change the comments of a topic's tables, also of those that are replaced or being filled.
 
-        ``check`` gets all tables first and may raise.
+        Args:
+            change: Returns the new metadata of a table.
+            check: Called under the lock before any change, with all tables of the keyspace that
+                are read; may raise.
+
+        Raises:
+            TopicNotFound: The topic was removed.
         """
         with self.lock() as lock:
             every = self.listing(fresh=True).every
@@ -450,18 +479,18 @@ class Schema:
         """Drop all tables of a topic; return their names and those of tables that they replaced.
 
         Args:
-            renew: Make empty tables in their place, before they are dropped.
+            renew: Make empty tables in their place, before they are dropped: one for each kind and
+                format, with the indexes that the old one has.
         """
         with self.lock() as lock:
             listing = self.listing(fresh=True)
             tables = {name: m for name, m in listing.every.items() if m.topic == topic}
             if renew:
                 # With new names, so that a writer with an old listing cannot write into them.
-                read = [name for name in tables if name in listing.visible]
                 one_each = {
                     (self._kind_of(m), m.format): (name, m.with_(replaces=(), cut=False))
                     for name, m in tables.items()
-                    if name in read
+                    if name in listing.visible
                 }
                 for name, metadata in one_each.values():
                     columns, shadows = self.columns(name), metadata.indexes.values()
@@ -494,10 +523,11 @@ def _new_table(
     shadows: Mapping[str, str] | None = None,
     large: bool = False,
 ) -> _NewTable:
-    """Return a table with its name.
+    """Return a table with a name that no other table has had.
 
     Args:
-        columns: Columns of the format; with shadows None all columns.
+        columns: Columns of the format; all columns if ``shadows`` is None.
+        shadows: Columns with an index, name → CQL type.
     """
     if shadows is not None:
         columns = {**_own_columns(metadata), **columns, **shadows}
@@ -515,8 +545,8 @@ def _chunk_statement(keyspace: str, table: str, metadata: TopicMetadata) -> Sche
         f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
         f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
         f"AND {_storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
-        "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
-        "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
+        # A second request for a slow chunk would send the same large bytes twice.
+        f"AND {_PACKED} AND speculative_retry = 'NEVER'",
         f"making the table for large messages {name}",
     )
 
@@ -524,7 +554,10 @@ def _chunk_statement(keyspace: str, table: str, metadata: TopicMetadata) -> Sche
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
     """Return the options of a table as CQL.
 
-    Its rows stay ttl + margin seconds, ttl 0 = for ever.
+    Args:
+        ttl: How long its rows stay, s; 0 = for ever.
+        margin: How much longer than ``ttl`` they stay, s.
+        merged: Whether Cassandra merges the table's files; not while its indexes are made.
     """
     enabled = "" if merged else ", 'enabled': 'false'"
     if not ttl:

@@ -18,9 +18,11 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.store.tables.side_tables import SideTables
 
 STRIPE = 4096
+"""Number of messages in a row."""
 _TABLE = "cr_sent"
 _NUMBER = np.dtype("<i8")
 _BYTES = 2 * STRIPE * _NUMBER.itemsize
+"""Size of the values of a row before they are compressed, bytes."""
 Longs = NDArray[np.int64]
 
 
@@ -55,7 +57,8 @@ class SendTimeStore:
             times: Values of STRIPE messages; 0 where a message has none, or the file ends.
         """
         self._tables.make(_TABLE)
-        # Differences with like bytes side by side: consecutive numbers compress to nothing.
+        # Differences, all first bytes side by side, all second bytes, and so on: consecutive
+        # numbers compress to nothing.
         columns = np.array([times.delays, np.diff(times.sequences, prepend=0)], _NUMBER)
         raw = columns.view(np.uint8).reshape(-1, _NUMBER.itemsize).T.tobytes()
         row = {"writer": writer, "node": node, "stripe": stripe, "sent": zstandard.compress(raw)}

@@ -44,12 +44,14 @@ TELL_SEC = 5.0
 MADE_SEC = 10.0
 """Maximum time for which a listed table may not be readable yet, s."""
 _TRIES = 8
+"""Maximum number of attempts for a lightweight transaction that times out."""
 CHANGES_A_RENEWAL = 8
 """Number of DDL statements before which the lock is renewed, if it is older than LOCK_RENEWAL_SEC.
 Even on a machine so busy that each takes some seconds they end long before the lock runs out."""
 LOCK_RENEWAL_SEC = 1.0
 """Time after which the lock is renewed before further tables are made, s."""
 _SCHEMA = "schema"
+"""Name of the schema lock in the table of locks."""
 _LOCK = "cr_lock"
 _LOCK_COLUMNS = "name text PRIMARY KEY, owner uuid"
 
@@ -145,6 +147,9 @@ LATER_TABLES = {
 class SchemaLock:
     """Context manager that holds the schema lock; raises SchemaConflict after waiting for 150 s.
 
+    It must not be entered twice, not even by one thread: the second object would wait for the
+    first. The lock runs out LOCK_TTL_SEC after it was taken or renewed last.
+
     Args:
         name: Name of the lock, for another one in the same table.
     """
@@ -155,7 +160,7 @@ class SchemaLock:
         self._name = name
         self._owner = uuid.uuid4()
         self._held_since = -math.inf
-        """Monotonic time before which the lock was taken or renewed last, s."""
+        """Monotonic time just before the lock was taken or renewed last, s."""
 
     def __enter__(self) -> SchemaLock:
         start, is_logged = time.monotonic(), False
@@ -186,6 +191,7 @@ class SchemaLock:
             _log.warning("the schema lock runs out by itself within %d s: %s", LOCK_TTL_SEC, exc)
 
     def _take(self) -> bool:
+        """Try to take the lock; return whether we hold it."""
         self._held_since = time.monotonic()
         applied, owner = self._lwt(
             f"INSERT INTO {self._table} (name, owner) VALUES (?, ?) IF NOT EXISTS "
@@ -240,6 +246,10 @@ class SchemaLock:
             )
 
     def _lwt(self, cql: str, params: tuple[object, ...]) -> tuple[bool, object]:
+        """Run a lightweight transaction; return whether it was applied, and if not the owner.
+
+        The owner is None if no client holds the lock.
+        """
         # Under contention a transaction may time out with its outcome unknown. All three of ours
         # contain the owner, so they can be repeated.
         tries = 1
@@ -259,8 +269,8 @@ class SchemaLock:
 class SideTables:
     """The side tables of one keyspace, and the keyspace itself, which need not exist.
 
-    Writers make missing tables before they write; readers treat a missing table as an empty one.
-    Thread-safe.
+    Readers treat a missing table as an empty one. Writers call ``make`` before they write: the
+    methods that insert or delete do not. Thread-safe.
 
     Raises:
         InvalidName: The name is not 1 to 48 letters, digits and underscores.
@@ -278,11 +288,19 @@ class SideTables:
         self.retry_sec: Seconds = RETRY_SEC
         """How long one request is retried, s."""
         self._there: frozenset[str] = frozenset()
-        self._keyspace_made = self._made = False
+        """Names of the tables that the keyspace had when they were listed last."""
+        self._keyspace_made = False
+        """Whether the keyspace is known to exist."""
+        self._made = False
+        """Whether all SIDE_TABLES are known to exist."""
         self._mutex = threading.Lock()
 
     def patient(self, retry_sec: Seconds) -> SideTables:
-        """Return a copy with another retry time, s. ``forget`` acts on the copy, or here, alone."""
+        """Return a copy with another retry time, s.
+
+        What is known to exist is copied now: ``make`` and ``forget`` of one of the two objects do
+        not act on the other.
+        """
         patient = copy(self)
         patient.retry_sec = retry_sec
         return patient
@@ -296,7 +314,10 @@ class SideTables:
     def select(
         self, table: str, names: str, where: str = "", params: Sequence[object] = (), *, what: str
     ) -> list[CqlRow]:
-        """Return columns of the rows of a table that match a condition; '' = of all rows."""
+        """Return columns of the rows of a table that match a condition; '' = of all rows.
+
+        The result is empty if the table is missing.
+        """
         if not self.has(table):
             return []
         condition = f" WHERE {where}" if where else ""
@@ -312,9 +333,12 @@ class SideTables:
         now: Sequence[str] = (),
         ttl: int = 0,
     ) -> None:
-        """Write a row for ttl seconds (0 = for ever).
+        """Write a row.
 
-        The server puts its time into columns ``now``.
+        Args:
+            columns: Name → value.
+            now: Names of further columns, in which the server puts its time.
+            ttl: How long the row stays, s; 0 = for ever.
         """
         names = ", ".join([*columns, *now])
         marks = ", ".join(["?"] * len(columns) + ["toTimestamp(now())"] * len(now))
@@ -335,7 +359,10 @@ class SideTables:
     def select_many(
         self, table: str, names: str, where: str, params: Sequence[CqlRow], what: str
     ) -> list[list[CqlRow]]:
-        """Return columns of the rows that match a condition, for each set of parameters."""
+        """Return columns of the rows that match a condition, for each set of parameters.
+
+        The result is empty, without a list for each set, if the table is missing.
+        """
         if not self.has(table):
             return []
         cql = f"SELECT {names} FROM {self.qualified(table)} WHERE {where}"
@@ -409,6 +436,8 @@ class SideTables:
     def make(self, *later: str) -> None:
         """Make the keyspace and its side tables if they are missing, before the first write.
 
+        It takes the schema lock if a table is missing, so its caller must not hold it.
+
         Args:
             later: Those of LATER_TABLES that are about to be written.
         """
@@ -424,7 +453,7 @@ class SideTables:
                 self._make_lock_table()
             if not there.issuperset(tables):
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
-                    there = self._names()
+                    there = self._names()  # another client may have made some of them
                     lock.change_all(
                         [
                             (
@@ -457,6 +486,7 @@ class SideTables:
         )
 
     def _list(self) -> frozenset[str]:
+        """Return the names of all tables of the keyspace."""
         # A caller that looks for a table is about to use the keyspace.
         self._cassandra.use_keyspace(self.keyspace)
         return self._names()
