@@ -32,7 +32,10 @@ class BlockZones(NamedTuple):
 
 
 def ask_bounds(bucket: BucketRead, columns: Sequence[str]) -> PagedRead:
-    """Request the headers of the blocks of a bucket, with some of their zone columns."""
+    """Request the headers of the blocks of a bucket, with some of their zone columns.
+
+    ``read_bounds`` takes the answer.
+    """
     return bucket.ask(", ".join([HEADER_COLUMNS, *map(quote_name, columns)]), PAGE_BLOCKS)
 
 
@@ -47,7 +50,10 @@ def read_bounds(bucket: BucketRead, request: PagedRead) -> Iterator[BlockZones]:
 def open_blocks(
     bucket: BucketRead, headers: Sequence[BlockRow]
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-    """Fetch and unpack blocks with known headers; blocks deleted meanwhile are left out."""
+    """Fetch and unpack blocks of a bucket with known headers.
+
+    Blocks without messages to read, because they were deleted meanwhile, are left out.
+    """
     for n in range(0, len(headers), BOUNDS_BLOCKS_AT_ONCE):
         for row in bucket.blocks(bucket.fetch(headers[n : n + BOUNDS_BLOCKS_AT_ONCE]).page()):
             opened = bucket.open(row)

@@ -25,6 +25,7 @@ from cassandra_ros.store.tables.lengths import MAX_BLOCK_BYTES, MAX_BLOCK_MESSAG
 from cassandra_ros.store.tables.row_table import LARGE_MESSAGE_CHUNK_BYTES, RowTable
 
 MIN_BYTES = 16 * 1024
+"""Minimum limit of the bytes of a block, however many are filled at the same time."""
 ALL_BYTES = 64 * 1024 * 1024
 """Maximum number of bytes in all blocks of a bag together while they are being filled."""
 ALONE_BYTES = 64 * 1024
@@ -39,6 +40,7 @@ class BlockLimits(NamedTuple):
 
 
 FULL = BlockLimits()
+"""The limits if few blocks are filled at the same time."""
 
 
 def limits_for(connections: int) -> BlockLimits:
@@ -75,6 +77,7 @@ class NewBlock(NamedTuple):
     odd: bool
     """Whether the zones of some field do not hold."""
     again: MessageAgain | None = None
+    """Writes one of the messages again, if the block is not stored; None = not possible."""
 
     @property
     def t(self) -> int:
@@ -104,8 +107,8 @@ class NewBlock(NamedTuple):
         if self.again is None:
             return [None] * len(self.wires)
         arrivals = self.times if self.received is None else self.received
-        every = zip(arrivals, self.seqs, self.wires)
-        return [partial(self.again, *message) for message in every]
+        messages = zip(arrivals, self.seqs, self.wires)
+        return [partial(self.again, *message) for message in messages]
 
 
 def make_block(
@@ -117,7 +120,10 @@ def make_block(
     received: Sequence[int] | None = None,
     again: MessageAgain | None = None,
 ) -> NewBlock:
-    """Return the block of one or more messages, given in any order."""
+    """Return the block of one or more messages, given in any order.
+
+    A message that is too large for a row must be the only one; see NewBlock for the arguments.
+    """
     order = None if len(times) == 1 else _order(times, seqs)
     if order is not None:
         times, seqs = [times[n] for n in order], [seqs[n] for n in order]
@@ -145,6 +151,8 @@ def _order(times: Sequence[int], seqs: Sequence[int]) -> list[int] | None:
 class BlockBuilder:
     """Fills the blocks of one connection of one writer. Thread-safe.
 
+    Its lock is taken before that of the writer, to which it passes blocks.
+
     Args:
         table: A table of format ``packed``.
         node: The robot or other source of the messages.
@@ -155,7 +163,8 @@ class BlockBuilder:
 
     Attributes:
         nbytes: Number of serialised bytes in the present block.
-        since: Monotonic time at which the oldest message of the present block came, s.
+        since: Monotonic time at which the oldest message of the present block came, s; 0 = there is
+            no block.
     """
 
     def __init__(
@@ -170,7 +179,7 @@ class BlockBuilder:
         self.table, self.node, self.conn = table, node, conn
         self._all = builders
         self._span_ns, self._bucket_ns = table.metadata.span_ns, table.metadata.bucket_ns
-        self._most, self._most_bytes = builders.limits
+        self._max_messages, self._max_bytes = builders.limits
         self._key_time = key_time
         self._again = again
         # Held while a block is packed and passed on, so that blocks leave in their order.
@@ -180,7 +189,7 @@ class BlockBuilder:
     def _clear(self) -> None:
         self.nbytes = 0
         self.since = 0.0
-        # An empty range: the next message begins a block, whatever its time.
+        # Key times that the block takes, ns. An empty range: the next message begins a block.
         self._first, self._latest = 0, -1
         self._times: list[int] = []
         self._seqs: list[int] = []
@@ -188,11 +197,14 @@ class BlockBuilder:
         self._received: list[int] = []
 
     def add_message(self, received: int, seq: int, wire: bytes) -> bool:
-        """Add a message to a block; return False if its table was dropped.
+        """Add a message to a block; return False, without adding it, if its table was dropped.
 
         Args:
             received: Receive time, ns.
             seq: Writer id << 32 | counter.
+
+        Raises:
+            WriteFailed: An earlier block was given up, which was not reported otherwise.
         """
         key_time, size = self._key_time, len(wire)
         t = received if key_time is None else key_time(received, wire)
@@ -201,7 +213,7 @@ class BlockBuilder:
             # Runs for every message of a recording, so it is written for speed.
             if (
                 not self._first <= t <= self._latest
-                or nbytes > self._most_bytes
+                or nbytes > self._max_bytes
                 or size > ALONE_BYTES
             ):
                 if not self._begin(t):
@@ -214,12 +226,12 @@ class BlockBuilder:
             self._wires.append(wire)
             if key_time is not None:
                 self._received.append(received)
-            if len(times) >= self._most or size > ALONE_BYTES:
+            if len(times) >= self._max_messages or size > ALONE_BYTES:
                 self.seal()
         return True
 
     def add_messages(self, received: Longs, seqs: Longs, wires: Sequence[bytes]) -> int:
-        """Add messages like ``add_message``.
+        """Add messages like ``add_message``, which makes the same blocks of them.
 
         Return how many were added: fewer if the table was dropped.
         """
@@ -227,9 +239,9 @@ class BlockBuilder:
         alone = np.diff(nbytes, prepend=0).max(initial=0) > ALONE_BYTES
         times, numbers = received.tolist(), seqs.tolist()
         if alone or self._key_time is not None:
-            every = zip(times, numbers, wires)
+            messages = zip(times, numbers, wires)
             return next(
-                (n for n, args in enumerate(every) if not self.add_message(*args)), len(wires)
+                (n for n, args in enumerate(messages) if not self.add_message(*args)), len(wires)
             )
         at = 0
         with self._lock:
@@ -238,13 +250,14 @@ class BlockBuilder:
                 if stop == at:
                     if not self._begin(times[at]):
                         return at
+                    # A new block takes its first message, however large that is.
                     stop = max(at + 1, self._room(received, nbytes, at))
                 self.nbytes += int(nbytes[stop - 1] - (nbytes[at - 1] if at else 0))
                 self._times += times[at:stop]
                 self._seqs += numbers[at:stop]
                 self._wires += wires[at:stop]
                 at = stop
-                if len(self._times) >= self._most:
+                if len(self._times) >= self._max_messages:
                     self.seal()
         return at
 
@@ -254,16 +267,16 @@ class BlockBuilder:
         Args:
             nbytes: Running total of the serialised bytes, including each message.
         """
-        most = self._most_bytes - self.nbytes + (int(nbytes[at - 1]) if at else 0)
-        room = int(np.searchsorted(nbytes, most, "right"))
-        stop = max(at, min(room, at + self._most - len(self._times)))
+        limit = self._max_bytes - self.nbytes + (int(nbytes[at - 1]) if at else 0)
+        stop = int(np.searchsorted(nbytes, limit, "right"))
+        stop = max(at, min(stop, at + self._max_messages - len(self._times)))
         beyond = (times[at:stop] < self._first) | (times[at:stop] > self._latest)
         return at + int(beyond.argmax()) if beyond.any() else stop
 
     def _begin(self, t: int) -> bool:
-        """Close the present block and begin one at time ``t``.
+        """Close the present block and begin one at key time ``t``; raises like ``add_message``.
 
-        Return False if the table is dropped.
+        Return False, and begin none, if the table was dropped.
         """
         self._all.check()
         self.seal()
@@ -276,7 +289,7 @@ class BlockBuilder:
         return True
 
     def seal(self) -> None:
-        """Close the present block and pass it on, if it has messages."""
+        """Close the present block and pass it on, if it has messages; may wait for the store."""
         with self._lock:
             if not self._times:
                 return
@@ -292,7 +305,7 @@ class BlockBuilder:
 
     def seal_older(self, than: float) -> None:
         """Close the block if it began before a monotonic time, s."""
-        if self.since < than:
+        if self.since < than:  # without the lock, which its thread may hold for long
             with self._lock:
                 if self.since < than:
                     self.seal()
@@ -320,7 +333,10 @@ class Builders:
         self.filling: dict[int, BlockBuilder] = {}
         """Builders with messages, by their id; each adds and removes itself."""
         # A builder without messages lives as long as the writer of its connection refers to it.
-        self._known: WeakValueDictionary[tuple[str, str, int], BlockBuilder] = WeakValueDictionary()
+        self._by_connection: WeakValueDictionary[tuple[str, str, int], BlockBuilder] = (
+            WeakValueDictionary()
+        )
+        """Builders by table, node and connection."""
         self._mutex = threading.Lock()
 
     def get(
@@ -334,9 +350,10 @@ class Builders:
         """Return the builder for the messages of a connection."""
         key = (table.name, node, conn)
         with self._mutex:
-            builder = self._known.get(key)
+            builder = self._by_connection.get(key)
             if builder is None:
-                builder = self._known[key] = BlockBuilder(table, node, conn, self, key_time, again)
+                builder = BlockBuilder(table, node, conn, self, key_time, again)
+                self._by_connection[key] = builder
             return builder
 
     def seal(self, older_than: float = math.inf) -> None:

@@ -22,9 +22,11 @@ from cassandra_ros.store.tables.row_table import ALL, MAX_SEQ, MIN_SEQ, Order, R
 
 PAGE_HEADERS = 5000
 _AT_ONCE = 16
+"""Maximum number of blocks that are fetched and unpacked together."""
 
 Ends = Tuple[Order, Order]
 Writers = Optional[FrozenSet[int]]
+"""Writer ids; None = all."""
 
 
 def headers(
@@ -35,9 +37,10 @@ def headers(
     high: int | None = None,
     writers: Writers = None,
 ) -> Iterator[BlockRow]:
-    """Read, without their bytes, the blocks with a time range that meets [low, high].
+    """Read, without their bytes, the blocks with a time range that meets [low, high], ns.
 
-    None = open.
+    Args:
+        low, high: None = the beginning, or the end, of the bucket.
     """
     begin = bucket * table.metadata.bucket_ns
     ends, terms = list(ALL), []
@@ -61,7 +64,11 @@ def headers(
 
 
 def opened(table: RowTable, node: str, bucket: int, rows: Iterator[BlockRow]) -> Iterator[Block]:
-    """Read and unpack blocks with known headers; blocks deleted meanwhile are left out."""
+    """Read and unpack blocks with known headers; blocks deleted meanwhile are left out.
+
+    Raises:
+        CorruptMessage: A block is damaged.
+    """
     place, keys = table.partition_key(node, bucket), [row.key for row in rows]
     for n in range(0, len(keys), _AT_ONCE):
         for row in read_blocks(table, ask_blocks(table, place, keys[n : n + _AT_ONCE]).page()):
@@ -84,7 +91,15 @@ def count_part(
 
 
 class RemainingMessages:
-    """Number, bytes and time range of the messages that are left in a block."""
+    """Number, bytes and time range of the messages that are left in a block.
+
+    Args:
+        block: The block, unpacked. None = it is counted by its header: its bytes and its time range
+            include deleted messages, and ``largest`` is the mean.
+
+    Attributes:
+        largest: Size of the largest message, bytes; 0 = it is in chunks.
+    """
 
     def __init__(self, row: BlockRow, block: Block | None = None) -> None:
         self.count, self.bytes = row.left, row.size
@@ -102,7 +117,10 @@ class RemainingMessages:
 def measure(
     table: RowTable, node: str, bucket: int
 ) -> Iterator[tuple[BlockRow, RemainingMessages]]:
-    """Yield the counts of each block; only blocks with deleted messages are unpacked."""
+    """Yield the counts of each block; only blocks with deleted messages are unpacked.
+
+    Of these the ones after a damaged block are counted by their headers.
+    """
     cut = []
     for row in headers(table, node, bucket):
         if not len(row.gone):

@@ -18,7 +18,7 @@ from cassandra_ros.store.tables.row_table import BlockKey, Order, RowTable, deco
 
 
 class BlockDeletion:
-    """Deletes messages of one bucket.
+    """Deletes messages of one bucket. The caller has marked it in the directory as deleted from.
 
     Attributes:
         large: Keys of deleted blocks whose message is in the chunk table.
@@ -32,7 +32,14 @@ class BlockDeletion:
         self.large: list[Order] = []
 
     def time_range(self, rows: Sequence[BlockRow], low: int, high: int) -> int:
-        """Delete the messages with a time in [low, high] from some blocks; return their number."""
+        """Delete the messages with a time in [low, high], ns, from some blocks.
+
+        Args:
+            rows: Blocks of the bucket, of which the headers suffice.
+
+        Returns:
+            The number of messages that were deleted.
+        """
         whole = [row for row in rows if low <= row.t and row.last <= high]
         self._delete([row.key for row in whole])
         self.large += [row.key for row in whole if row.nchunks]
@@ -49,15 +56,19 @@ class BlockDeletion:
         return count
 
     def cut(self, cuts: Mapping[BlockKey, Collection[int]]) -> None:
-        """Delete messages by their blocks and their positions in these."""
+        """Delete messages.
+
+        Args:
+            cuts: Block → positions of the messages in it.
+        """
         whole = [key for key, places in cuts.items() if len(places) == key.messages]
         self._delete([(key.t, key.seq) for key in whole])
-        parts = {key: set(cuts[key]) for key in cuts if len(cuts[key]) < key.messages}
-        marks = [(places, *self._where, key.t, key.seq) for key, places in parts.items()]
+        others = {key: set(places) for key, places in cuts.items() if len(places) < key.messages}
+        marks = [(places, *self._where, key.t, key.seq) for key, places in others.items()]
         if not marks:
             return
         self._cassandra.execute_many(self._table.mark_gone(), marks, what=self._what)
-        self._clear([(key.t, key.seq) for key in parts])
+        self._clear([(key.t, key.seq) for key in others])
 
     def _clear(self, keys: Sequence[Order]) -> None:
         """Delete blocks that have no messages left, and marks without a block."""

@@ -22,31 +22,30 @@ KEPT_BLOCKS = 16
 _PAGE_BLOCKS = 16
 
 
-def ask_over(table: RowTable, node: str, t: int, writer: int | None = None) -> PagedRead:
-    """Request the blocks that may hold a message of a time; writer None = of all writers.
+def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> PagedRead:
+    """Request the blocks that may hold a message, or (any_seq) any message of its time.
 
     The table's metadata limit the time range of a block, so earlier blocks are left out.
     """
+    t, node, seq = position[:3]
     bucket = table.bucket_of(t)
     first = max(t - table.metadata.span_ns, bucket * table.metadata.bucket_ns)
-    seqs = MIN_SEQ, MAX_SEQ
-    if writer is not None:
+    if any_seq:
+        seqs = MIN_SEQ, MAX_SEQ
+    else:  # those of its writer
+        writer = writer_of(seq)
         seqs = writer << COUNTER_BITS, ((writer + 1) << COUNTER_BITS) - 1
     bounds = (first, t, *seqs, t)
     values = (*table.partition_key(node, bucket), *map(encode_long, bounds))
     return table.send(bind(table.select_over(WHOLE_BLOCK_COLUMNS), values, _PAGE_BLOCKS))
 
 
-def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> PagedRead:
-    """Request the blocks that may hold a message, or the first message of its time."""
-    t, node, seq = position[:3]
-    return ask_over(table, node, t, None if any_seq else writer_of(seq))
-
-
 def answer_one(
     table: RowTable, position: Position, request: PagedRead, *, any_seq: bool = False
 ) -> TableRow | None:
-    """Return the row of a message in the requested blocks; None if they do not hold it.
+    """Return the row of a message in the blocks of ``ask_one``; None if they do not hold it.
+
+    With any_seq it is the first message of its time.
 
     Raises:
         CorruptMessage: No readable block holds the message, and a block cannot be read.
@@ -74,6 +73,7 @@ class MessageFinder:
     def __init__(self, table: RowTable) -> None:
         self._table = table
         self._kept: list[tuple[str, Block]] = []
+        """Nodes and their blocks, the block that was used last first."""
 
     def find(self, position: Position) -> TableRow | None:
         """Return the row of a message, None if there is no such row; raises like answer_one."""
@@ -95,6 +95,7 @@ class MessageFinder:
         return None
 
     def _read(self, position: Position) -> None:
+        """Read and keep the blocks that may hold a message."""
         t, node, seq = position[:3]
         problem: CorruptMessage | None = None
         blocks: list[Block] = []

@@ -31,7 +31,9 @@ from cassandra_ros.store.tables.row_table import (
 HEADER_COLUMNS = (
     '"_t", "_seq", "_conn", "_size", "_last", "_n", "_crc", "_nchunks", "_odd", "_gone"'
 )
+"""Columns of a block that ``read_block`` reads, as CQL, without its bytes."""
 WHOLE_BLOCK_COLUMNS = f'{HEADER_COLUMNS}, "_data"'
+"""The same with its bytes."""
 _FIXED = struct.Struct(">qqqiqi")
 """Values of the first six header columns, encoded, one after the other."""
 _new_row = partial(tuple.__new__, TableRow)
@@ -53,8 +55,9 @@ class BlockRow(NamedTuple):
     nchunks: int
     """Number of chunks; 0 = the bytes are in the row."""
     odd: bool
+    """Whether the zones of some field do not hold."""
     gone: Longs
-    """Positions of deleted messages."""
+    """Positions of deleted messages, each once."""
     data: bytes | None
     """Packed bytes; None if only the header was read, or if all bytes are in chunks."""
 
@@ -106,13 +109,18 @@ def read_block(table: RowTable, values: RawRow) -> BlockRow | None:
 def read_blocks(
     table: RowTable, page: Iterable[RawRow], writers: frozenset[int] | None = None
 ) -> list[BlockRow]:
-    """Return the blocks of a page that have one of these writers (None = all)."""
+    """Return the blocks of a page that have one of these writers (None = all).
+
+    Raises:
+        CorruptMessage: See ``read_block``.
+    """
     rows = (read_block(table, values) for values in page)
     blocks = [block for block in rows if block is not None]
     return blocks if writers is None else [b for b in blocks if b.writer in writers]
 
 
 def _positions(gone: bytes | None, count: int) -> Longs:
+    """Decode the positions of deleted messages in a block of ``count`` messages."""
     if gone is None:
         return _NONE
     # The number of positions as an int, then each position after its length.
@@ -129,7 +137,12 @@ def ask_blocks(
     keys: Sequence[Order],
     names: str = WHOLE_BLOCK_COLUMNS,
 ) -> PagedRead:
-    """Request blocks by their keys, in one page; blocks deleted meanwhile are left out."""
+    """Request rows by their keys, in one page; rows that are not there are left out.
+
+    Args:
+        place: Partition key, encoded.
+        names: Columns to read, as CQL.
+    """
     orders = encode_orders([(encode_long(t), encode_long(seq)) for t, seq in keys])
     return table.send(bind(table.select_listed(names), (*place, orders), len(keys)))
 
@@ -164,6 +177,7 @@ class Block:
         self._received = unpacked.received
 
     def _open_chunked(self) -> None:
+        """Take the only message, whose bytes are in chunks, from the row."""
         row = self.row
         self.times, self.seqs, self.sizes = (
             np.array([value], np.int64) for value in (row.t, row.seq, row.size)
@@ -175,7 +189,7 @@ class Block:
         return len(self.times)
 
     def between(self, low: Order, high: Order) -> Longs:
-        """Return the positions from low to high, both included, without deleted messages."""
+        """Return the positions with keys from low to high, both included, but no deleted ones."""
         first, last = self._first_from(low), self._first_from((high[0], high[1] + 1))
         if not len(self.row.gone):
             return np.arange(first, last)
@@ -184,6 +198,7 @@ class Block:
         return np.flatnonzero(stays[first:last]) + first
 
     def _first_from(self, order: Order) -> int:
+        """Return the position of the first message with this key or a later one."""
         t, seq = order
         first = int(self.times.searchsorted(t))
         if first == len(self) or self.times[first] > t:
@@ -203,6 +218,7 @@ class Block:
         return self._row(place, *order) if order <= high else None
 
     def _row(self, place: int, t: int, seq: int) -> TableRow:
+        """Return the row of the message at a position, given its key."""
         # Like rows, without the parts that would take longer than all of this.
         row, wire = self.row, None if self.unpacked is None else self.unpacked.wire(place)
         tail = row.nchunks, row.crc if row.nchunks else 0, False, None, (wire,), ""
@@ -211,21 +227,25 @@ class Block:
         return TableRow(*head, *tail, received, row.block_key, place)
 
     def rows(self, places: Longs, *, bare: bool = False) -> list[TableRow]:
-        """Return the rows of some of its messages; bare: without their bytes."""
+        """Return the rows of some of its messages; bare: without their bytes.
+
+        Args:
+            places: Positions of the messages, ascending.
+        """
         row, table = self.row, self._table
         whole = len(places) == len(self)
         times, seqs, sizes = (
-            (every if whole else every[places]).tolist()
-            for every in (self.times, self.seqs, self.sizes)
+            (values if whole else values[places]).tolist()
+            for values in (self.times, self.seqs, self.sizes)
         )
         columns: Iterable[tuple[bytes | None, ...]] = repeat(())
         if self.unpacked is None:
             columns = repeat(() if bare else (None,))
         elif not bare:
             columns = zip(self.unpacked.wires(None if whole else places))
-        came = self._received
-        received: Iterable[int] = repeat(-1) if came is None else came[places].tolist()
-        values = zip(
+        arrivals = self._received
+        received: Iterable[int] = repeat(-1) if arrivals is None else arrivals[places].tolist()
+        rows = zip(
             times,
             repeat(self._node),
             seqs,
@@ -242,10 +262,11 @@ class Block:
             repeat(row.block_key),
             places.tolist(),
         )
-        return list(map(_new_row, values))  # one call per row would cost more than their bytes
+        return list(map(_new_row, rows))  # one call per row would cost more than their bytes
 
 
 def _unpack(row: BlockRow) -> Unpacked:
+    """Unpack a block and compare it with its row; raises CorruptMessage."""
     if row.data is None:
         raise CorruptMessage("its bytes are missing")
     if crc32(row.data) != row.crc:

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import heapq
 import logging
+from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Callable, Iterable, Iterator, Sequence, Tuple, Union
+from typing import Callable, Iterable, Iterator, Sequence, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,6 @@ STREAM_PAGE_BLOCKS = 512
 GROWTH = 4
 """Ratio between the sizes of two consecutive requests of a read of few messages."""
 
-_Bound = Tuple[object, ...]
 Flags = NDArray[np.bool_]
 
 
@@ -94,17 +94,26 @@ class BucketRead:
         self._place = self.table.partition_key(self.node, self.bucket)
         begin = self.bucket * self.table.metadata.bucket_ns
         low = self.ends[0][0]
-        # An earlier block may reach into the range.
+        # An earlier block may reach into the range. All messages of a block are in one bucket.
         self.first = max(begin, low - self.table.metadata.span_ns) if low > begin else begin
+        """Key time from which blocks may have messages to read, ns."""
         self.reaching: Terms = (("_last", ">=", encode_long(low)),) if self.first < low else ()
+        """Condition that leaves out the blocks that end before the range."""
 
     def ask(
         self, names: str, count: int, last: RawRow | None = None, terms: Terms = ()
     ) -> PagedRead:
-        """Request ``count`` blocks a page, those after the last row that was read."""
+        """Request ``count`` blocks a page, those after the last row that was read.
+
+        Args:
+            names: Columns to read, as CQL, beginning with those of the key.
+            terms: Further conditions for the server, which may refuse them: see PagedRead.
+        """
         low, high = self.ends
-        past = last is not None and last[0] is not None and last[0] >= encode_long(low[0])
-        reaching = () if past and not self.reverse else self.reaching
+        # Without the condition the server need not filter. Key times are not negative, so their
+        # bytes are in the order of the numbers.
+        is_inside = last is not None and last[0] is not None and last[0] >= encode_long(low[0])
+        reaching = () if is_inside and not self.reverse else self.reaching
         return self.table.select_range(
             names,
             self._place,
@@ -167,7 +176,8 @@ class OpenedBlock:
     Attributes:
         row: The row of the block.
         block: The unpacked block; None if it is damaged.
-        places: Positions of the messages that have not been made into rows yet.
+        places: Positions of the messages that have not been made into rows yet, ascending. A
+            damaged block has one if it begins in the range, for the row that stands for it.
         unsure: By position in the block, whether a message has to be checked again, because the
             sift is not sure; None = all have to be.
     """
@@ -187,7 +197,7 @@ class OpenedBlock:
 
     @property
     def key(self) -> Order:
-        """Key of the first remaining message."""
+        """Key of the first remaining message, of which there must be one."""
         if self.block is None:
             return self.row.key
         place = self.places[0]
@@ -207,7 +217,7 @@ class OpenedBlock:
 
 
 class WaitingRows:
-    """Sorted rows of overlapping blocks, kept until no earlier row can come."""
+    """Rows of overlapping blocks of one node and table, kept until no earlier row can come."""
 
     def __init__(self) -> None:
         self._rows: list[TableRow] = []
@@ -232,35 +242,24 @@ class WaitingRows:
             self._sorted = True
 
     def until(self, key: Order, node: str) -> list[TableRow]:
-        """Take the rows up to a key, which is included."""
+        """Take the rows up to a key, which is included, in order."""
         self._sort()
-        cut = _bisect(self._rows, (key[0], node, key[1] + 1))
+        cut = bisect_left(self._rows, (key[0], node, key[1] + 1))
         rows, self._rows = self._rows[:cut], self._rows[cut:]
         return rows
 
     def beyond(self, t: int) -> list[TableRow]:
         """Take the rows after a time, newest first."""
         self._sort()
-        cut = _bisect(self._rows, (t + 1,))
+        cut = bisect_left(self._rows, (t + 1,))
         rows, self._rows = self._rows[cut:], self._rows[:cut]
         return rows[::-1]
 
     def rest(self) -> list[TableRow]:
-        """Take all rows."""
+        """Take all rows, in order."""
         self._sort()
         rows, self._rows = self._rows, []
         return rows
-
-
-def _bisect(rows: Sequence[TableRow], bound: _Bound) -> int:
-    low, high = 0, len(rows)
-    while low < high:
-        middle = (low + high) // 2
-        if rows[middle] < bound:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 def key_of(values: RawRow) -> Order:
@@ -283,7 +282,14 @@ _Item = Union[BlockRow, OpenedBlock]
 
 
 class Headers:
-    """Reads the headers of the blocks of a bucket, in the order of reading, as far as needed."""
+    """Reads the headers of the blocks of a bucket, in the order of reading, as far as needed.
+
+    With filters all of them are read at once, because several queries give them in several orders.
+
+    Attributes:
+        more: Whether there are further headers to read.
+        last: Key of the last block whose header was read; None = of none yet.
+    """
 
     def __init__(self, bucket: BucketRead) -> None:
         self._bucket = bucket
@@ -298,15 +304,15 @@ class Headers:
         self._early = bucket.ask(WHOLE_BLOCK_COLUMNS, bucket.early) if early else None
         self.more = bool(self._asked)
         self.last: Order | None = None
-        """Key of the last block whose header was read."""
-        self._behind: RawRow | None = None
+        self._last_row: RawRow | None = None
 
     def take_early(self) -> PagedRead | None:
-        """Return, once, the read of the first whole blocks; None = there is no such read."""
+        """Return, at the first call, the read of the first whole blocks; None = there is none."""
         early, self._early = self._early, None
         return early
 
     def _ask_filters(self, filters: Sequence[Terms]) -> list[PagedRead]:
+        """Request the headers of the blocks that pass each filter."""
         try:
             return [
                 self._bucket.ask(HEADER_COLUMNS, STREAM_PAGE_HEADERS, terms=terms)
@@ -325,18 +331,18 @@ class Headers:
     def read(self) -> list[BlockRow]:
         """Read the next page of headers."""
         if self._filters is not None:
-            return self._every()
+            return self._read_filtered()
         if not self._asked:
             self._count = min(STREAM_PAGE_HEADERS, GROWTH * self._count)
-            self._asked = [self._bucket.ask(HEADER_COLUMNS, self._count, self._behind)]
+            self._asked = [self._bucket.ask(HEADER_COLUMNS, self._count, self._last_row)]
         request = self._asked.pop()
         page: Sequence[RawRow] = next((p for p in request.pages(ahead=False) if p), ())
         self.more = bool(page) and request.more
         if self.more:
-            self._behind, self.last = page[-1], key_of(page[-1])
+            self._last_row, self.last = page[-1], key_of(page[-1])
         return self._bucket.blocks(page)
 
-    def _every(self) -> list[BlockRow]:
+    def _read_filtered(self) -> list[BlockRow]:
         """Read all headers that pass one of the filters, some 100 bytes a block."""
         self.more = False
         try:
@@ -390,15 +396,18 @@ class BlockQueue:
     def __init__(self, bucket: BucketRead, headers: Headers) -> None:
         self._bucket = bucket
         self._headers = headers
-        self._known: list[tuple[Order, int, _Item]] = []
+        self._pending: list[tuple[Order, int, _Item]] = []
+        """Heap of the blocks with known headers: turn (see _add), number, block."""
         self._count = 0
+        """Number of blocks that were added: with it no two entries of the heap are equal."""
         self._wanted, self._bytes = bucket.wanted, bucket.page_bytes
+        """Limits of the next batch: messages (0 = none), serialised bytes."""
         if bucket.wanted:
             self._bytes = min(bucket.page_bytes, BLOCK_BYTES)
 
     def batch(self) -> _Batch | None:
-        """Request the blocks that are needed next; None if all blocks were read."""
-        while self._headers.more and not self._is_known():
+        """Request the blocks that are needed next, more each time; None if all were read."""
+        while self._headers.more and not self._is_first_certain():
             self.read()
         items, wanted = self._take(), self._wanted
         if self._bucket.wanted:
@@ -408,14 +417,15 @@ class BlockQueue:
         return _Batch(self._bucket, items, wanted, early) if items else None
 
     def read(self) -> None:
-        """Read more headers."""
+        """Read one more page of headers."""
         for header in self._headers.read():
             self._add(header)
 
     def _add(self, item: _Item) -> None:
+        """Add a block, or its rest, in its turn: by its first key, in descending order its end."""
         self._count += 1
         turn = (-self._end(item), 0) if self._bucket.reverse else item.key
-        heapq.heappush(self._known, (turn, self._count, item))
+        heapq.heappush(self._pending, (turn, self._count, item))
 
     def _end(self, item: _Item) -> int:
         """Return the time of the last message of a block that is in the range to be read."""
@@ -433,14 +443,14 @@ class BlockQueue:
                     self._add(block)
             yield self._bucket.rows(head)
 
-    def _is_known(self) -> bool:
-        """Return whether no block with an unread header is needed before the first known one."""
+    def _is_first_certain(self) -> bool:
+        """Return whether no block with an unread header is needed before the first pending one."""
         if self._bucket.reverse:
-            return bool(self._known) and -self._known[0][0][0] > self._unread_end
+            return bool(self._pending) and -self._pending[0][0][0] > self._unread_end
         # Only the next header tells up to which key the first block can be yielded. The rest of a
         # block of which messages were taken may begin after blocks whose headers are not read yet.
         last = self._headers.last
-        return len(self._known) > 1 and (last is None or self._known[0][0] <= last)
+        return len(self._pending) > 1 and (last is None or self._pending[0][0] <= last)
 
     @property
     def _unread_end(self) -> int:
@@ -451,41 +461,49 @@ class BlockQueue:
     def _take(self) -> list[_Item]:
         """Take the blocks that may hold the first message, and as many as are wanted."""
         items: list[_Item] = []
-        count, size = self._wanted or MAX_SEQ, self._bytes
-        first = self._known[0][0][0] if self._known else 0
+        messages_left, bytes_left = self._wanted or MAX_SEQ, self._bytes
+        first = self._pending[0][0][0] if self._pending else 0
         if not self._bucket.reverse:  # earlier blocks may hold the first message too
             first = max(first, self._bucket.ends[0][0])
-        while self._known and len(items) < KEYED_BLOCKS_AT_ONCE:
-            turn, _, item = self._known[0]
-            if items and turn[0] > first and (size < item.size or count <= 0):
+        while self._pending and len(items) < KEYED_BLOCKS_AT_ONCE:
+            turn, _, item = self._pending[0]
+            is_enough = bytes_left < item.size or messages_left <= 0
+            if items and turn[0] > first and is_enough:
                 break
-            items.append(heapq.heappop(self._known)[2])
-            count, size = count - item.left, size - item.size
+            heapq.heappop(self._pending)
+            items.append(item)
+            messages_left -= item.left
+            bytes_left -= item.size
         return items
 
     def bound_up(self, coming: _Batch | None) -> Order | None:
-        """Return a key before which no further message comes; None = no message comes."""
+        """Return a key before which no further message comes, ascending; None = no message comes.
+
+        Args:
+            coming: The batch that was requested and not read yet.
+        """
         if coming is not None:
             return coming.taken[0].key
-        ends = [self._known[0][0]] if self._known else []
+        ends = [self._pending[0][0]] if self._pending else []
         if self._headers.more and self._headers.last is not None:
             ends.append(self._headers.last)
         return min(ends, default=None)
 
     def bound_down(self, coming: _Batch | None) -> int:
-        """Return a time after which no further message comes in descending order."""
-        end = self._known_end(coming)
+        """Return a time after which no further message comes, descending; see bound_up."""
+        end = self._pending_end(coming)
         return max(end, self._unread_end) if self._headers.more else end
 
     def look(self, coming: _Batch | None) -> bool:
-        """Read more headers if that may lower the bound; return whether headers were read."""
-        short = self._headers.more and self._unread_end > self._known_end(coming)
-        if short:
+        """Read more headers if that may lower bound_down; return whether headers were read."""
+        may_lower = self._headers.more and self._unread_end > self._pending_end(coming)
+        if may_lower:
             self.read()
-        return short
+        return may_lower
 
-    def _known_end(self, coming: _Batch | None) -> int:
-        first = [-self._known[0][0][0]] if self._known else []
+    def _pending_end(self, coming: _Batch | None) -> int:
+        """Return the latest time of the messages of pending blocks and of a batch."""
+        first = [-self._pending[0][0][0]] if self._pending else []
         if coming is not None:
             first.append(self._end(coming.taken[0]))
         return max(first, default=MIN_SEQ)
@@ -511,6 +529,7 @@ def downwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     while coming is not None:
         for rows in needed.rows(coming):
             buffer.add(rows)
+        # As in upwards.
         coming = None if bucket.wanted else needed.batch()
         sure_rows = buffer.beyond(needed.bound_down(coming))
         while buffer and not sure_rows and needed.look(coming):
@@ -543,6 +562,7 @@ def opened(bucket: BucketRead) -> Iterator[OpenedBlock]:
 
 
 def _open_by_headers(bucket: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
+    """Yield the blocks of headers, fetched by their keys; some are requested ahead."""
     count = max(1, min(KEYED_BLOCKS_AT_ONCE, bucket.page_bytes // BLOCK_BYTES))
     request: PagedRead | None = None
     while headers.more:
@@ -557,6 +577,7 @@ def _open_by_headers(bucket: BucketRead, headers: Headers) -> Iterator[OpenedBlo
 
 
 def _open_answer(bucket: BucketRead, request: PagedRead) -> Iterator[OpenedBlock]:
+    """Yield the requested blocks that have messages to read, unpacked."""
     for block in bucket.blocks(request.page()):
         open_block = bucket.open(block)
         if open_block.left:
@@ -564,6 +585,7 @@ def _open_answer(bucket: BucketRead, request: PagedRead) -> Iterator[OpenedBlock
 
 
 def _open_pages(bucket: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:
+    """Yield the blocks of pages that have messages to read, unpacked."""
     for blocks, _ in pages:
         for block in blocks:
             open_block = bucket.open(block)
@@ -580,14 +602,14 @@ class _Pages:
         self._asked: PagedRead | None = bucket.ask(WHOLE_BLOCK_COLUMNS, self._count)
 
     def __iter__(self) -> Iterator[tuple[list[BlockRow], Order | None]]:
-        """Yield blocks, and a key that all blocks of later pages lie after.
+        """Yield the blocks of each page, and a key after which all blocks of later pages begin.
 
-        None = the last page.
+        This is None with the last page. The blocks must be unpacked before the next page is taken.
         """
         while self._asked is not None:
             request = self._asked
             page: Sequence[RawRow] = next((p for p in request.pages(ahead=False) if p), ())
-            # All are unpacked before the next page is read, so their bytes need not be copied.
+            # Their bytes need not be copied, as they are unpacked soon.
             blocks = self._bucket.blocks(page.views() if isinstance(page, RawPage) else page)
             self._asked = None
             if not page or not request.more:
@@ -602,6 +624,7 @@ class _Pages:
 
 
 def _whole(bucket: BucketRead, pages: _Pages) -> Iterator[TableRow]:
+    """Yield the rows of all blocks of a bucket in the order (t, seq)."""
     buffer = WaitingRows()
     for blocks, behind in pages:
         keys: list[Order | None] = [*(block.key for block in blocks[1:]), behind]

@@ -59,22 +59,26 @@ MAX_CONTENT_BYTES = 16 * 1024 * 1024
 """Maximum size of what a block says that it holds, packed and serialised, bytes. A larger one was
 changed; blocks that this package writes have at most a thirtieth of it."""
 _PLANES, _COLUMNS, _ROWS = 0, 1, 2
+"""Layouts of a group: its first byte."""
 _UNIT = 8
+"""Number of bytes that layout columns keeps together."""
 _SAMPLE_BYTES = 16 * 1024
+"""Approximate size of the sample that decides the layout of a group, bytes."""
 _SAMPLE_SHARE = 2
 """The sample is at most one in this number of messages of a group."""
-_LEAST = 16
+_MIN_SAMPLE_WIRES = 16
 """Minimum number of messages in a sample."""
-_SMALL = 4 * 1024
+_UNSAMPLED_BYTES = 4 * 1024
 """Size of a group in bytes below which it is always planes: a sample would cost more than it
 saves."""
-_WORTH = 0.97
+_COLUMNS_RATIO = 0.97
 """Ratio of bytes below which columns are preferred to planes. Fields are read faster from
 planes."""
-_LONG, _STRETCHES = 1024, 4
-"""Minimum size of a message that may be stored as rows, bytes; and number of parts of its
-sample."""
-_HARDLY = 0.8
+_MIN_ROW_BYTES = 1024
+"""Minimum size of a message that may be stored as rows, bytes."""
+_PLANES_SAMPLE_PARTS = 4
+"""Number of parts of such a message of which planes are tried."""
+_PLANES_RATIO = 0.8
 """Ratio of compressed to plain bytes above which planes of such messages are not worth their
 time."""
 
@@ -97,25 +101,30 @@ def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[By
     Args:
         wires: Messages of equal size.
         cost: Returns the compressed size of some bytes.
+
+    Returns:
+        Parts, so that the plain messages of layout rows are not copied.
     """
     count, size = len(wires), len(wires[0])
-    few = max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))
-    if size >= _LONG and _saves_little(_rows(wires[:few]), cost):
+    few = max(_MIN_SAMPLE_WIRES, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))
+    if size >= _MIN_ROW_BYTES and _saves_little(_rows(wires[:few]), cost):
         return bytes((_ROWS,)), *wires
     rows = _rows(wires)
-    if rows.nbytes < _SMALL:
+    if rows.nbytes < _UNSAMPLED_BYTES:
+        # Zeros: layout planes, and no plane is stored as differences.
         return bytes(1 + (size + 7) // 8), np.ascontiguousarray(rows.T).tobytes()
     sample = rows[:few]
+    # Differences pay for a byte whose step repeats more often than the byte itself.
     steps = np.diff(sample, axis=0)
-    still = _counts(steps == 0)
-    rises = _counts(steps[1:] == steps[:-1]) > still
+    repeats = _counts(steps == 0)
+    rises = _counts(steps[1:] == steps[:-1]) > repeats
     if size >= _UNIT:
         # For long messages only the ends are tried: trying all would cost more than packing.
         tried = slice(-max(_UNIT, _SAMPLE_BYTES // len(sample) // _UNIT * _UNIT), None)
         ends = sample[:, tried]
         planes, rising = np.array(ends.T, order="C"), rises[tried]
         planes[rising, 1:] = steps[:, tried].T[rising]
-        if cost(_columns(ends)) < _WORTH * cost(planes.tobytes()):
+        if cost(_columns(ends)) < _COLUMNS_RATIO * cost(planes.tobytes()):
             return bytes((_COLUMNS,)), _columns(rows)
     planes = np.array(rows.T, order="C")  # always a copy: rows of one byte are planes already
     if rises.any():
@@ -124,6 +133,7 @@ def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[By
 
 
 def _rows(wires: Sequence[bytes]) -> Bytes:
+    """Return messages of equal size as the rows of a matrix."""
     return np.frombuffer(b"".join(wires), np.uint8).reshape(len(wires), -1)
 
 
@@ -149,10 +159,10 @@ def read_layout(data: memoryview, size: int, count: int) -> LaidGroup:
 def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
     """Return whether planes of some messages hardly compress."""
     count, size = sample.shape
-    width = min(size, _SAMPLE_BYTES // count) // _STRETCHES
-    begins = range(0, size - width + 1, (size - width) // (_STRETCHES - 1))
+    width = min(size, _SAMPLE_BYTES // count) // _PLANES_SAMPLE_PARTS
+    begins = range(0, size - width + 1, (size - width) // (_PLANES_SAMPLE_PARTS - 1))
     parts = np.concatenate([sample[:, begin : begin + width] for begin in begins], axis=1)
-    return bool(cost(np.ascontiguousarray(parts.T).tobytes()) > _HARDLY * parts.size)
+    return bool(cost(np.ascontiguousarray(parts.T).tobytes()) > _PLANES_RATIO * parts.size)
 
 
 def _counts(mask: Mask) -> NDArray[np.int32]:
@@ -163,12 +173,14 @@ def _counts(mask: Mask) -> NDArray[np.int32]:
 
 
 def _columns(rows: Bytes) -> bytes:
-    loose = rows.shape[1] % _UNIT
+    """Return messages, the rows of a matrix, in layout columns."""
+    loose = rows.shape[1] % _UNIT  # bytes before the first column
     units = np.ascontiguousarray(rows[:, loose:]).view("<u8")
     return np.ascontiguousarray(rows[:, :loose].T).tobytes() + units.T.tobytes()
 
 
 def _from_columns(data: memoryview, size: int, count: int) -> bytes:
+    """Return the messages of layout columns, one after the other."""
     loose = size % _UNIT
     rows = np.empty((count, size), np.uint8)
     rows[:, :loose] = np.frombuffer(data, np.uint8, loose * count).reshape(loose, count).T
@@ -183,16 +195,19 @@ Integers = NDArray[np.int32]
 
 _WORD = np.dtype("<u4")
 _WHOLE, _SCALED, _OTHER = 253, 254, 255
+"""Codes of words; a smaller code is the word itself."""
 _SCALES = (1000, 4000, 10_000)
 """Scales of values measured in millimetres, quarters of a millimetre and tenths."""
 _SHIFTS = tuple(np.uint32(shift) for shift in (0, 8, 16, 24))
-_SAMPLE, _WIRES = 1024, 16
-"""Number of words in the sample that is tried first, and number of its messages."""
+_WORDS_SAMPLE = 1024
+"""Approximate number of words in the sample that is tried first."""
+_WORDS_SAMPLE_WIRES = 16
+"""Maximum number of messages of which this sample is taken."""
 
 
 def code_words(wires: Sequence[bytes]) -> bytes | None:
-    """Code serialised messages; return None if most of their words are not such numbers."""
-    scale = _find_scale(_words(wires[:: -(-len(wires) // _WIRES)]))
+    """Code serialised messages as words; None if most of their larger words are no such numbers."""
+    scale = _find_scale(_words(wires[:: -(-len(wires) // _WORDS_SAMPLE_WIRES)]))
     if scale is None:
         return None
     words = _words(wires)
@@ -205,10 +220,11 @@ def code_words(wires: Sequence[bytes]) -> bytes | None:
     kinds[is_scaled] = _SCALED
     kinds[is_whole] = _WHOLE
     codes[large] = kinds
-    loose = [wire[: len(wire) & 3] for wire in wires]
+    loose = [wire[: len(wire) & 3] for wire in wires]  # the bytes before the first word
     parts = [scale.to_bytes(4, "little"), *loose, codes.tobytes()]
     for values, kind in ((whole, _WHOLE), (scaled, _SCALED)):
         steps = np.diff(values[np.flatnonzero(kinds == kind)], prepend=np.int32(0))
+        # Zigzag: 0, -1, 1, -2, … become 0, 1, 2, 3, …
         parts.append(_word_planes((steps << 1 ^ steps >> 31).view(_WORD)))
     parts.append(_word_planes(rest[np.flatnonzero(kinds == _OTHER)]))
     return b"".join(parts)
@@ -246,12 +262,13 @@ def decode_words(data: memoryview, sizes: Sequence[int]) -> bytes:
 
 
 def _words(wires: Sequence[bytes]) -> Words:
+    """Return all words of messages, cut from the end of each message."""
     return np.frombuffer(b"".join([wire[len(wire) & 3 :] for wire in wires]), _WORD)
 
 
 def _find_scale(words: Words) -> int | None:
     """Return the divisor of most of the larger words; None if there is no such divisor."""
-    step = len(words) // _SAMPLE | 1  # odd, because lengths and numbers may take turns
+    step = len(words) // _WORDS_SAMPLE | 1  # odd, because lengths and numbers may take turns
     sample = words[::step]
     sample = sample[sample >= _WHOLE]
     is_whole = _as_integers(sample, 1)[1]
@@ -270,11 +287,13 @@ def _as_integers(words: Words, scale: int) -> tuple[Integers, Mask]:
 
 
 def _as_floats(zigzag: Words, scale: int) -> Words:
+    """Return the ``float32`` words whose integers have these differences."""
     steps = (zigzag >> 1).view(np.int32) ^ -(zigzag & 1).view(np.int32)
     return _divide(np.cumsum(steps, dtype=np.int32), scale)
 
 
 def _divide(integers: Integers, scale: int) -> Words:
+    """Return the ``float32`` words of integers divided by a scale."""
     # IEEE 754 defines the result of a division: every machine computes the same bits.
     return (integers.astype("<f4") / np.float32(scale)).view(_WORD)
 
@@ -285,6 +304,7 @@ def _word_planes(words: Words) -> bytes:
 
 
 def _words_of_planes(data: memoryview, at: int, count: int) -> Words:
+    """Return the words whose planes begin at an offset."""
     words = np.zeros(count, _WORD)
     planes = np.frombuffer(data, np.uint8, 4 * count, at).reshape(4, count)
     for plane, shift in zip(planes, _SHIFTS):
@@ -315,12 +335,14 @@ LEVEL = 1
 QUICK_LEVEL = -10
 """Level of zstd for data that hardly compress, such as random numbers: as many bytes in a third of
 the time."""
-HARDLY = 0.6
+_QUICK_RATIO = 0.6
 """Ratio of compressed to plain bytes of a sample above which data hardly compress. Data of robots
 have 0.05 to 0.3."""
-SAMPLE, STRETCHES = 16 * 1024, 4
-"""Size of the sample in bytes, and number of its parts. Taken from blocks of at least four times
+_LEVEL_SAMPLE_BYTES = 16 * 1024
+"""Size of the sample by which the level is chosen, bytes. Taken from blocks of at least four times
 this size."""
+_LEVEL_SAMPLE_PARTS = 4
+"""Number of parts of this sample, spread over the block."""
 MIN_PLANES = 16
 """Minimum number of messages of one size that are stored as planes. Fewer are stored plain, because
 planes would only tear texts apart."""
@@ -329,8 +351,10 @@ SINGLE_CUT_RATIO = 64
 LONG = 512
 """Minimum size of messages that may be coded as words, bytes."""
 _RECEIVED, _WORDS, _STORED = 1, 2, 4
-_KNOWN = _RECEIVED | _WORDS | _STORED
+"""Flags of a block."""
+_ALL_FLAGS = _RECEIVED | _WORDS | _STORED
 _HEAD = 2
+"""Number of bytes before the frame: version and flags."""
 _I8, _U4 = np.dtype("<i8"), np.dtype("<u4")
 
 
@@ -364,6 +388,9 @@ class Unpacked:
         sizes: Number of serialised bytes of each message.
         received: Receive times, ns; None = they equal the key times.
         groups: The messages by size, the smallest first.
+
+    Args:
+        body, as_rows, rises: Result of ``_decode``.
     """
 
     def __init__(
@@ -377,10 +404,7 @@ class Unpacked:
         rises: Mapping[int, Mask],
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
-        # Sizes whose messages are stored one after the other, however many there are.
-        self._body, self._as_rows = body, as_rows
-        # Planes that are stored as differences, by size.
-        self._rises = rises
+        self._body, self._as_rows, self._rises = body, as_rows, rises
 
     def __len__(self) -> int:
         return len(self.times)
@@ -400,9 +424,9 @@ class Unpacked:
         return tuple(groups)
 
     @cached_property
-    def _turned_bytes(self) -> tuple[bytes, Longs]:
+    def _messages_by_size(self) -> tuple[bytes, Longs]:
         """All messages, those of a group one after the other, and the offset of each."""
-        parts = [_turn(group.planes) for group in self.groups]
+        parts = [_transposed(group.planes) for group in self.groups]
         starts, at = np.empty(len(self), np.int64), 0
         for (size, members, *_), data in zip(self.groups, parts):
             starts[members] = np.arange(at, at + len(data), size) if size else at
@@ -411,10 +435,10 @@ class Unpacked:
 
     def wire(self, position: int) -> bytes:
         """Return one message, serialised."""
-        # Looking at the other messages would be most of the work.
+        # Without ``groups``: making the other ones would be most of the work.
         size, alike = int(self.sizes[position]), self.sizes == self.sizes[position]
         count, place = np.count_nonzero(alike), np.count_nonzero(alike[:position])
-        at = int(self.sizes[self.sizes < size].sum())
+        at = int(self.sizes[self.sizes < size].sum())  # where the group begins
         if size in self._rises:
             stored = np.frombuffer(self._body, np.uint8, size * count, at).reshape(size, count)
             head, rises = stored[:, : place + 1], self._rises[size]
@@ -427,17 +451,22 @@ class Unpacked:
 
     def wires(self, positions: Longs | None = None) -> list[bytes]:
         """Return messages, serialised: those at some positions, None = all."""
+        # One group of rows is cut as it lies there.
         size = len(self._body) // max(1, len(self))
         if positions is None and size >= LONG and size in self._as_rows and len(self.groups) == 1:
             return [bytes(self._body[at : at + size]) for at in range(0, len(self._body), size)]
-        turned = "_turned_bytes" in self.__dict__
-        if positions is not None and not turned and SINGLE_CUT_RATIO * len(positions) < len(self):
+        is_turned = "_messages_by_size" in self.__dict__  # an earlier call has computed it
+        if (
+            positions is not None
+            and not is_turned
+            and SINGLE_CUT_RATIO * len(positions) < len(self)
+        ):
             return [self.wire(position) for position in positions.tolist()]
-        every, starts = self._turned_bytes
+        messages, starts = self._messages_by_size
         ends = starts + self.sizes
         if positions is not None:
             starts, ends = starts[positions], ends[positions]
-        return [every[start:end] for start, end in zip(starts.tolist(), ends.tolist())]
+        return [messages[start:end] for start, end in zip(starts.tolist(), ends.tolist())]
 
 
 def pack_block(
@@ -464,10 +493,10 @@ def pack_block(
     if (sizes != sizes[:1]).any():
         order = np.argsort(sizes, kind="stable")
         wires, sizes = [wires[n] for n in order.tolist()], sizes[order]
-    short = int(np.searchsorted(sizes, LONG))
-    words = code_words(wires[short:]) if short < len(wires) else None
+    first_long = int(np.searchsorted(sizes, LONG))
+    words = code_words(wires[first_long:]) if first_long < len(wires) else None
     if words is not None:
-        wires, sizes = wires[:short], sizes[:short]
+        wires, sizes = wires[:first_long], sizes[:first_long]
     flags = (_RECEIVED if received is not None else 0) | (_WORDS if words is not None else 0)
     start = 0
     for begin, end in _many(sizes):
@@ -478,25 +507,34 @@ def pack_block(
 
 
 def _finish(flags: int, parts: Sequence[BytesLike], messages: int) -> bytes:
-    """Return the bytes of a block, compressed at the level that a sample suggests."""
+    """Return the bytes of a block, compressed at the level that a sample suggests, or plain.
+
+    Args:
+        parts: What the frame holds, to be joined.
+        messages: Number of messages.
+    """
     # If the bytes are stored plain they are not copied again.
     stored = b"".join([bytes((VERSION, flags | _STORED)), *parts])
     body = memoryview(stored)[_HEAD:]
-    if len(body) >= 4 * SAMPLE:
-        step = len(body) // STRETCHES
+    if len(body) >= 4 * _LEVEL_SAMPLE_BYTES:
+        step = len(body) // _LEVEL_SAMPLE_PARTS
         starts = range(step // 2, len(body), step)
-        sample = b"".join([body[at : at + SAMPLE // STRETCHES] for at in starts])
-        if _cost(sample) > HARDLY * len(sample):
+        length = _LEVEL_SAMPLE_BYTES // _LEVEL_SAMPLE_PARTS
+        sample = b"".join([body[at : at + length] for at in starts])
+        if _cost(sample) > _QUICK_RATIO * len(sample):
             # For small messages a frame already pays for the differences of times.
             long = len(body) > LONG * messages
-            if long and len(_mine.quick.compress(sample)) >= len(sample):
+            if long and len(_zstd.quick.compress(sample)) >= len(sample):
                 return stored
-            return bytes((VERSION, flags)) + _mine.quick.compress(body)
-    return bytes((VERSION, flags)) + _mine.compressor.compress(body)
+            return bytes((VERSION, flags)) + _zstd.quick.compress(body)
+    return bytes((VERSION, flags)) + _zstd.compressor.compress(body)
 
 
 def _many(sizes: Longs) -> list[tuple[int, int]]:
-    """Return the ranges of ascending sizes in which many messages have one size other than 0."""
+    """Return the ranges [begin, end) of ascending sizes in which many have one size other than 0.
+
+    These are the groups that have a layout.
+    """
     if not len(sizes):
         return []
     if sizes[0] == sizes[-1]:
@@ -523,10 +561,10 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
             f"a block has version {data[0]}, and this release of cassandra_ros reads only version "
             f"{VERSION}: if another release wrote it, export the topic with that one"
         )
-    if len(data) < _HEAD or data[1] & ~_KNOWN:
+    if len(data) < _HEAD or data[1] & ~_ALL_FLAGS:
         raise CorruptMessage(f"a block of {len(data)} bytes has no flags, or unknown ones")
     received, words = bool(data[1] & _RECEIVED), bool(data[1] & _WORDS)
-    begin = count * (20 + 8 * received)
+    begin = count * (20 + 8 * received)  # of the messages: times, seqs and sizes have 8 + 8 + 4
     try:
         # Checked before memory is allocated: the frame's header has its length.
         packed = memoryview(data)[_HEAD:]
@@ -537,7 +575,7 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
         length = content - begin
         if min(count, size, length) < 0 or length > most_bytes(size):
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
-        view = packed if stored else memoryview(_mine.decompressor.decompress(packed))
+        view = packed if stored else memoryview(_zstd.decompressor.decompress(packed))
     except zstandard.ZstdError as exc:
         raise CorruptMessage(f"a block cannot be unpacked: {exc}") from exc
     times, seqs = np.add.accumulate(_numbers(view, 0, 2, count, _I8), axis=1)
@@ -551,18 +589,21 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
 def _decode(
     body: memoryview, sizes: Longs, has_words: bool
 ) -> tuple[memoryview, frozenset[int], Mapping[int, Mask]]:
-    """Return the messages, and two kinds of sizes with many messages.
+    """Return the messages of a block by ascending size, without layouts and words.
 
-    Those that are not planes but plain, and those with planes that are stored as differences.
+    Returns:
+        Their bytes: each group is planes, or one message after the other.
+        Sizes whose messages lie one after the other, however many there are.
+        Size → which planes of its group are stored as differences, if any are.
     """
     lengths = np.sort(sizes)
-    short = int(np.searchsorted(lengths, LONG)) if has_words else len(lengths)
-    words = lengths[short:].tolist()
+    first_word = int(np.searchsorted(lengths, LONG)) if has_words else len(lengths)
+    words = lengths[first_word:].tolist()
     as_rows: set[int] = set(words)
     rises: dict[int, Mask] = {}
     parts: list[BytesLike] = []
     start = 0
-    for begin, end in _many(lengths[:short]):
+    for begin, end in _many(lengths[:first_word]):
         size, between = int(lengths[begin]), int(lengths[start:begin].sum())
         laid = read_layout(body[between:], size, end - begin)
         if not laid.as_planes:
@@ -571,7 +612,7 @@ def _decode(
             rises[size] = laid.rises
         parts += body[:between], laid.data
         body, start = body[between + laid.length :], end
-    rest = int(lengths[start:short].sum())
+    rest = int(lengths[start:first_word].sum())
     parts += body[:rest], decode_words(body[rest:], words) if words else b""
     if not words and len(body) != rest:
         raise CorruptMessage(f"a block holds {len(body)} bytes where {rest} belong")
@@ -590,6 +631,7 @@ def _members(sizes: Longs) -> list[Longs]:
 
 
 def _as_planes(count: int) -> bool:
+    """Return whether a group of this number of messages has a layout."""
     return count >= MIN_PLANES
 
 
@@ -599,11 +641,12 @@ def _differences(values: Longs) -> Longs:
 
 
 def _planes(values: NDArray[np.generic]) -> bytes:
+    """Return numbers as planes: all lowest bytes, all second bytes, and so on."""
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-    return _turn(np.ascontiguousarray(little).view(np.uint8).reshape(len(values), -1))
+    return _transposed(np.ascontiguousarray(little).view(np.uint8).reshape(len(values), -1))
 
 
-def _turn(matrix: Bytes) -> bytes:
+def _transposed(matrix: Bytes) -> bytes:
     """Return the bytes of a matrix column by column."""
     # tobytes alone would go byte by byte, at a third of the speed.
     return np.ascontiguousarray(matrix.T).tobytes()
@@ -612,7 +655,7 @@ def _turn(matrix: Bytes) -> bytes:
 def _numbers(
     view: memoryview, at: int, columns: int, count: int, kind: np.dtype[np.generic]
 ) -> Longs:
-    """Return columns of numbers that are stored one after the other: (columns, count)."""
+    """Return columns of numbers that are stored as planes one after the other: (columns, count)."""
     planes: Bytes = np.ndarray((columns, kind.itemsize, count), np.uint8, view, at)
     turned: Any = planes.transpose(0, 2, 1).copy()
     numbers: Longs = turned.view(kind).reshape(columns, count)
@@ -628,8 +671,9 @@ class _PerThread(threading.local):
         self.decompressor = zstandard.ZstdDecompressor()
 
 
-_mine = _PerThread()
+_zstd = _PerThread()
 
 
 def _cost(data: bytes) -> int:
-    return len(_mine.compressor.compress(data))
+    """Return the compressed size of some bytes."""
+    return len(_zstd.compressor.compress(data))
