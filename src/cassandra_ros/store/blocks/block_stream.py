@@ -110,8 +110,8 @@ class BucketRead:
             terms: Further conditions for the server, which may refuse them: see PagedRead.
         """
         low, high = self.ends
-        # Without the condition the server need not filter. Key times are not negative, so their
-        # bytes are in the order of the numbers.
+        # Blocks after one that begins in the range end in it: the server need not filter them. Key
+        # times are not negative, so their bytes are in the order of the numbers.
         is_inside = last is not None and last[0] is not None and last[0] >= encode_long(low[0])
         reaching = () if is_inside and not self.reverse else self.reaching
         return self.table.select_range(

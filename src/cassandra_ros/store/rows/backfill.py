@@ -25,6 +25,7 @@ from cassandra_ros.store.tables.row_table import (
 
 PAGE_ROWS = 1000
 PAGE_BYTES = 2 * 1024 * 1024
+"""Maximum number of rows in a page, and its approximate maximum size in bytes."""
 LATER_SEC = 1
 """Minimum time that a value stays longer than its row, s, because an index must not lose a row that
 has not expired. After that readers skip the value."""
@@ -41,7 +42,7 @@ class WrittenRow(NamedTuple):
 
 
 class ShadowUpdate(NamedTuple):
-    """A row and the value that it gets."""
+    """A row and the value that it gets in the shadow column."""
 
     written: WrittenRow
     value: bytes | None
@@ -58,7 +59,8 @@ class Backfill:
     def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[WrittenRow]]:
         """Yield the rows of a bucket by pages.
 
-        ``largest`` = bytes of its largest message in a row.
+        Args:
+            largest: Size of the largest message that is stored in its row, bytes.
         """
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
         table = self._table
@@ -69,13 +71,14 @@ class Backfill:
             yield [self._written_row(node, values) for values in page if not table.is_rest(values)]
 
     def _written_row(self, node: str, values: RawRow) -> WrittenRow:
+        """Return a row from the values of a listing and the two columns that follow it."""
         *columns, timestamp, ttl = values
         row = self._table.row_from_values(node, tuple(columns))
         return WrittenRow(row, timestamp or b"", None if ttl is None else decode_long(ttl))
 
     def write(self, updates: Sequence[ShadowUpdate]) -> None:
         """Write the values for rows of one bucket; return when they are acknowledged."""
-        batches = [self._batch(group) for group in _parts(updates)]
+        batches = [self._batch(group) for group in _batches(updates)]
         for request in [self._table.send(batch, "indexing") for batch in batches]:
             request.page()
 
@@ -90,8 +93,8 @@ class Backfill:
         return batch
 
 
-def _parts(updates: Sequence[ShadowUpdate]) -> Iterator[list[ShadowUpdate]]:
-    """Divide updates into batches of limited size."""
+def _batches(updates: Sequence[ShadowUpdate]) -> Iterator[list[ShadowUpdate]]:
+    """Divide updates into groups for one batch each."""
     group: list[ShadowUpdate] = []
     size = 0
     for update in updates:

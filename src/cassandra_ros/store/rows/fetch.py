@@ -36,11 +36,12 @@ from cassandra_ros.store.tables.row_table import (
 FETCHED_ROWS_AHEAD = 16
 """Number of rows that are requested ahead when rows are fetched by their keys."""
 KEY_PAGE_ROWS = 5000
+"""Maximum number of keys in a page."""
 _PAGE_CHUNKS = 8
 VERSION_PAGE_ROWS = 16
+"""Maximum number of rows of one name in a page."""
 ONE_QUERY_KEYS = 1000
 """Maximum number of keys that are fetched by one query over the whole table and sorted here."""
-
 
 _Side = Union[PagedRead, Iterator[TableRow]]
 """The read of the rows before or after a time, or the messages of blocks there."""
@@ -54,7 +55,14 @@ class RowKey(NamedTuple):
 
 
 def fetch_rows(keys: Iterable[RowKey], ahead: int = FETCHED_ROWS_AHEAD) -> Iterator[TableRow]:
-    """Yield rows in the given order; rows that were deleted meanwhile are left out."""
+    """Yield rows in the given order; rows that were deleted meanwhile are left out.
+
+    Args:
+        ahead: Number of rows that are on their way at the same time.
+
+    Raises:
+        CorruptMessage: A row, or the block that holds it, is damaged.
+    """
     finders: dict[str, MessageFinder] = {}
 
     def sent(key: RowKey) -> tuple[RowKey, PagedRead | None]:
@@ -71,7 +79,11 @@ def fetch_rows(keys: Iterable[RowKey], ahead: int = FETCHED_ROWS_AHEAD) -> Itera
 
 
 def fetch_row(table: RowTable, position: Position) -> TableRow | None:
-    """Return one row by its position, None if there is no such row: one SELECT."""
+    """Return one row by its position, None if there is no such row: one SELECT.
+
+    Raises:
+        CorruptMessage: The row, or the block that holds it, is damaged.
+    """
     key = RowKey(table, position)
     return _answer(key, _ask(key))
 
@@ -97,8 +109,8 @@ def first_at(
     others: list[tuple[RowTable, str]] = []
     for table, list_nodes in [(table, _begin_listing(directory, table, t)) for table in tables]:
         all_nodes = list_nodes()
-        first_nodes = {node for other, node in places if other is table}
-        others.extend((table, node) for node in sorted(all_nodes - first_nodes))
+        asked_nodes = {node for other, node in places if other is table}
+        others.extend((table, node) for node in sorted(all_nodes - asked_nodes))
         table.known_nodes.update(all_nodes)
     return _best(others, t)
 
@@ -116,6 +128,7 @@ def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[]
 
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
+    """Return the first row with a key time of some tables and nodes, asked at the same time."""
     keys = [RowKey(table, Position(t, node, 0, table.name)) for table, node in places]
     requests = [(key, _ask(key, any_seq=True)) for key in keys]
     answers = [_answer(*request, any_seq=True) for request in requests]
@@ -136,17 +149,23 @@ def beside(
     the directory is asked whether there are other nodes.
 
     Args:
-        ways: False = at or after the time, True = at or before it.
+        nodes: nodeIDs of the robots; None = all.
+        ways: Directions, one for each row: False = at or after the time, True = at or before it.
 
     Returns:
-        One row for each way; of several rows with the same time the first.
+        One row for each way; of several rows with the same time the first. None if a nearer row may
+        lie in another bucket, or the nodes in the cache were not all.
     """
-    streams: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
+    sides_of_way: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
 
-    def ask(table: RowTable, some: Iterable[str], way: int) -> None:
-        streams[way] += [(table, node, _ask_side(table, node, t, ways[way])) for node in some]
+    def ask(table: RowTable, some_nodes: Iterable[str], way: int) -> None:
+        sides_of_way[way] += [
+            (table, node, _ask_side(table, node, t, ways[way])) for node in some_nodes
+        ]
 
+    # The nodes that were asked, and what waits for those that the directory lists.
     slots: list[tuple[Sequence[str], Callable[[], Sequence[str]]]] = []
+    # Tables of which the directory is asked first.
     buckets: list[tuple[RowTable, Callable[[], list[BucketRow]]]] = []
     for table in tables:
         bucket = table.bucket_of(t)
@@ -159,18 +178,18 @@ def beside(
             slots.append((cached_nodes, answer))
         for way in range(len(ways)):
             ask(table, cached_nodes, way)
-    for table, rows in buckets:
-        found_rows = rows()
+    for table, answer_rows in buckets:
+        rows = answer_rows()
         for way, reverse in enumerate(ways):
-            ask(table, sorted(_nearest(table, found_rows, t, reverse)), way)
+            ask(table, sorted(_nearest(table, rows, t, reverse)), way)
     if any(set(cached_nodes) != set(answer()) for cached_nodes, answer in slots):
         return None
-    sides = [_best_side(*pair) for pair in zip(streams, ways)]
+    nearest_rows = [_best_side(*pair) for pair in zip(sides_of_way, ways)]
     low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)
     high = min((table.bucket_of(t) + 1) * table.metadata.bucket_ns for table in tables)
     # Outside of this range another table may have a nearer row in its next bucket.
-    near = [row for row in sides if row is not None and low <= row.t < high]
-    return near if len(near) == len(ways) else None
+    sure_rows = [row for row in nearest_rows if row is not None and low <= row.t < high]
+    return sure_rows if len(sure_rows) == len(ways) else None
 
 
 def _nearest(table: RowTable, rows: Sequence[BucketRow], t: int, reverse: bool) -> set[str]:
@@ -180,7 +199,9 @@ def _nearest(table: RowTable, rows: Sequence[BucketRow], t: int, reverse: bool) 
         reverse: False = at or after the time, True = at or before it.
     """
     sign = -1 if reverse else 1
-    # Each closed bucket has a message between its near end and its far end.
+    # Near end, far end and node of each entry, times counted in the direction of reading. A closed
+    # bucket has a message between both ends, so a node whose near end is beyond the least far end
+    # of all has no nearer one.
     ends: list[tuple[int, int, str]] = []
     for row in rows:
         first, last = sorted((sign * row.t_min, sign * row.t_max))
@@ -188,14 +209,16 @@ def _nearest(table: RowTable, rows: Sequence[BucketRow], t: int, reverse: bool) 
             ends.append((sign * t, 2**63, row.node))  # where its messages are is not known
         elif row.rows and last >= sign * t:
             ends.append((max(first, sign * t), first if first >= sign * t else last, row.node))
-    far = min((far for _, far, _ in ends), default=0)
-    return {node for near, _, node in ends if near <= far}
+    least_far = min((far for _, far, _ in ends), default=0)
+    return {node for near, _, node in ends if near <= least_far}
 
 
 def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
+    """Request the first rows of a node in the bucket of a time, from this time on."""
     ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
     if table.packed:
         return stream(BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1))
+    # Two in descending order: see _best_side.
     place, page_rows = table.partition_key(node, table.bucket_of(t)), 1 + reverse
     return table.select_range(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
 
@@ -227,6 +250,7 @@ def _first_of(messages: Iterator[TableRow]) -> list[TableRow]:
 
 
 def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
+    """Request a row, or the block that holds it; any_seq: the first row of its time and node."""
     table, (t, node, seq, _, name) = key
     if table.packed:
         return ask_one(table, key.position, any_seq=any_seq)
@@ -237,6 +261,7 @@ def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
 
 
 def _answer(key: RowKey, request: PagedRead, *, any_seq: bool = False) -> TableRow | None:
+    """Return the row that _ask has requested; None if there is no such row."""
     table, position = key
     if table.packed:
         return answer_one(table, position, request, any_seq=any_seq)
@@ -256,27 +281,31 @@ def ask_chunks(table: RowTable, row: TableRow) -> SentRequest:
 
 
 def read_chunks(table: RowTable, row: TableRow, sent: SentRequest | None = None) -> bytes:
-    """Return the bytes of a large message; raises CorruptMessage if they do not match its row.
+    """Return the bytes of a large message.
 
     Args:
         sent: Result of ask_chunks; None = the chunks have not been requested yet.
+
+    Raises:
+        CorruptMessage: They do not match its row.
     """
 
     def data_of(rows: ResultSet) -> list[bytes]:
-        parts: list[bytes] = []
+        """Return the chunks up to the first that is missing."""
+        chunks: list[bytes] = []
         for number, data in _views(rows):
-            if number != encode_int(len(parts)) or len(parts) >= row.nchunks:
+            if number != encode_int(len(chunks)) or len(chunks) >= row.nchunks:
                 break
-            parts.append(data or b"")
-        return parts
+            chunks.append(data or b"")
+        return chunks
 
     what = "reading a large message of"
-    parts = table.collect(_select_chunks(table, row), data_of, what, sent=sent)
-    wire = b"".join(parts)
-    if len(parts) != row.nchunks or len(wire) != row.size or crc32(wire) != row.crc:
+    chunks = table.collect(_select_chunks(table, row), data_of, what, sent=sent)
+    wire = b"".join(chunks)
+    if len(chunks) != row.nchunks or len(wire) != row.size or crc32(wire) != row.crc:
         raise CorruptMessage(
             f"the message of topic {table.metadata.topic} at {row.t} is incomplete: "
-            f"{len(parts)} of {row.nchunks} chunks, {len(wire)} of {row.size} bytes"
+            f"{len(chunks)} of {row.nchunks} chunks, {len(wire)} of {row.size} bytes"
             f"{'' if len(wire) != row.size else ', wrong checksum'}; repair the cluster, or "
             "import or record it again"
         )
@@ -303,7 +332,11 @@ class NamedKey(NamedTuple):
 
 
 def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
-    """Return the keys of all rows of a table whose rows have names, in no order."""
+    """Return the keys of all rows of a table whose rows have names, in no order.
+
+    Args:
+        nodes: The nodeIDs; None = all.
+    """
 
     def keys(rows: Iterable[RawRow]) -> list[NamedKey]:
         named_keys = (_named_key(values, table.name) for values in rows)
@@ -314,7 +347,7 @@ def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
 
 
 def some_names(table: RowTable, count: int) -> tuple[list[NamedKey], bool]:
-    """Return the keys of some rows of a table whose rows have names, and whether these are all.
+    """Return the keys of some rows of a table whose rows have names, and whether there are no more.
 
     Args:
         count: Maximum number of keys, from 1.
@@ -325,7 +358,9 @@ def some_names(table: RowTable, count: int) -> tuple[list[NamedKey], bool]:
 
 
 def _named_key(values: RawRow, table: str) -> NamedKey:
+    """Return a key from the values of select_names."""
     node, name, t, seq, size, nchunks, odd, *received = values
+    # Two columns where equal messages are stored once, whose ``_t`` and ``_seq`` are 0.
     t, seq = received or (t, seq)
     texts = (node or b"").decode(), (name or b"").decode()
     position = Position(decode_long(t), texts[0], decode_long(seq), table, texts[1])
@@ -378,6 +413,7 @@ def keys_by_shadow(
 
 
 def _row_key(table: RowTable, values: RawRow) -> RowKey:
+    """Return a key from the values of select_shadow."""
     node, t, seq = values
     position = Position(decode_long(t), (node or b"").decode(), decode_long(seq), table.name)
     return RowKey(table, position)

@@ -22,6 +22,7 @@ ORPHAN_SEC = 3600
 """Minimum age of chunks that count as left over, s. No message is retried for this long."""
 _PAGE_ROWS = 5000
 _PAGE_KEYS = 500
+"""Number of messages with chunks that are looked at, or deleted, together."""
 
 Where = Union[int, str]
 """A bucket, or the name of a row."""
@@ -73,11 +74,12 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
 
 
 def rows_at(table: RowTable, place: tuple[bytes, bytes], key: Order) -> Sequence[RawRow]:
-    """Return the counted columns of the row with a key; empty if it was deleted."""
+    """Return the counted columns of the row with a key, encoded; empty if there is no such row."""
     return list(ask_blocks(table, place, [key], COUNTED_COLUMNS).page())
 
 
 def _has_row(table: RowTable, values: RawRow) -> bool:
+    """Return whether the message of some chunks has a row that refers to chunks."""
     place = values[0] or b"", values[1] or b""
     key = decode_long(values[2]), decode_long(values[3])
     # The fourth column is the number of chunks.
@@ -99,5 +101,6 @@ def remove_orphans(
 
 
 def _place(table: RowTable, values: RawRow) -> tuple[str, Where]:
+    """Return node, and bucket or name, of an encoded partition key."""
     node, where = (values[0] or b"").decode(), values[1] or b""
     return node, where.decode() if table.named else decode_long(where)

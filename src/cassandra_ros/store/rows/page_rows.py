@@ -40,6 +40,7 @@ _HEAD = np.dtype(
 )
 """A listing up to the columns of the format, if no value is unusual; each value after its size."""
 _RECEIVED = np.dtype([*_HEAD.descr, ("received_size", ">i4"), ("received", ">i8")])
+"""The same for tables whose rows have the receive time in a column."""
 _MARKS = {
     **dict.fromkeys(("t_size", "seq_size", "conn_size", "received_size"), 8),
     **dict.fromkeys(("nchunks", "crc", "odd", "raw"), -1),
@@ -58,6 +59,7 @@ class _Heads(NamedTuple):
     fits: NDArray[np.bool_]
     """Whether all sizes are as in _MARKS."""
     values: NDArray[Any]
+    """Records of _HEAD or _RECEIVED; of rows that do not fit they are of no use."""
     received: Iterable[int]
     """Receive time of each message, ns; -1 = it equals ``_t``."""
 
@@ -68,14 +70,15 @@ class _Heads(NamedTuple):
         t, seq, conn, sizes = (self.values[name].tolist() for name in ("t", "seq", "conn", "size"))
         fixed = repeat(0), repeat(0), repeat(False), wires, repeat(()), repeat("")
         head = t, repeat(node), seq, repeat(table), conn, sizes
-        every = zip(*head, *fixed, self.received, repeat(None), repeat(0))
-        rows = map(tuple.__new__, repeat(TableRow), every)
+        # The fields of a TableRow in their order.
+        fields = zip(*head, *fixed, self.received, repeat(None), repeat(0))
+        rows = map(tuple.__new__, repeat(TableRow), fields)
         if self.fits.all() and None not in wires and list(map(len, wires)) == sizes:  # type: ignore[arg-type]
             return rows
         checked = zip(self.fits.tolist(), sizes, wires, rows)
         return (
-            row if fine and wire is not None and len(wire) == size else None
-            for fine, size, wire, row in checked
+            row if fits and wire is not None and len(wire) == size else None
+            for fits, size, wire, row in checked
         )
 
 

@@ -61,6 +61,7 @@ from cassandra_ros.store.tables.row_table import (
 _log = logging.getLogger(__name__)
 
 PAGE_BYTES = 2 * 1024 * 1024
+"""Approximate maximum size of a page, bytes."""
 ALL_PAGES_BYTES = 16 * 1024 * 1024
 """Approximate maximum size of the pages of all streams of one merged read, bytes."""
 MAX_PAGE_ROWS = 5000
@@ -69,6 +70,7 @@ FILTERED_BUCKETS_AHEAD = 16
 UNKNOWN_ROW_BYTES = 32 * 1024
 """Assumed size of the rows of a bucket that the directory has no counts of yet, bytes."""
 _ROW_OVERHEAD = 64
+"""Approximate memory that a row takes in addition to its message, bytes."""
 MERGED_ROWS = 16
 """Minimum number of rows requested from each of several streams for a read of few rows."""
 KEYS_AT_ONCE = 100
@@ -84,10 +86,13 @@ MOST_FIRST = 8
 """Maximum number of buckets requested before the directory has answered. If a read begins in more
 buckets, the directory is read first."""
 _Order = Tuple[object, ...]
+"""What rows are compared by, in the direction of reading."""
 _Request = Tuple[str, str, int, int, int, int]
+"""Table, node, bucket, and the sizes of pages."""
 _T = TypeVar("_T")
 
-_ALL: Query = ((), False)
+_EVERY_ROW: Query = ((), False)
+"""The query without conditions."""
 Queries = Optional[Sequence[Query]]
 """Queries that return the rows of a bucket that may match; None = read all rows."""
 
@@ -118,11 +123,12 @@ def _may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
     )
 
 
-class BucketPart(NamedTuple):
-    """A bucket of a read, with the sizes of its pages."""
+class BucketPlan(NamedTuple):
+    """A bucket to be read, with the sizes of its pages."""
 
     start: int
-    """Time at which it begins, in the direction of reading, ns."""
+    """Time at which it begins, in the direction of reading, ns. Reads in reverse begin at the end
+    of the bucket or of the read's time range."""
     table: RowTable
     node: str
     bucket: int
@@ -147,100 +153,111 @@ class BucketPart(NamedTuple):
         return self.listed * min(1.0, span_ns / max(1, length))
 
 
-def _ends_of(piece: BucketPart, read: Read) -> tuple[Order, Order]:
-    """Return the first and the last row key in a bucket that the read includes."""
+def _ends_of(plan: BucketPlan, read: Read) -> tuple[Order, Order]:
+    """Return the first and the last row key in a bucket that the read includes.
+
+    A cursor is a place in the order (t, node, seq, table). So the rows at its time were read before
+    if their node comes first, and those with its seq if their table does.
+    """
     first, last = read.time_range
     low, high = (first, MIN_SEQ), (last, MAX_SEQ)
     if read.after is None:
         return low, high
     t, node, seq, table, _ = read.after
     if read.reverse and t <= last:
-        high = (t - (piece.node > node), MAX_SEQ)
-        if piece.node == node:
-            high = (t, seq - (piece.table.name >= table))
+        high = (t - (plan.node > node), MAX_SEQ)
+        if plan.node == node:
+            high = (t, seq - (plan.table.name >= table))
     elif not read.reverse and t >= first:
-        low = (t + (piece.node < node), MIN_SEQ)
-        if piece.node == node and piece.table.name > table:
+        low = (t + (plan.node < node), MIN_SEQ)
+        if plan.node == node and plan.table.name > table:
             low = (t, seq)
-        elif piece.node == node:
+        elif plan.node == node:
             low = (t, seq + 1) if seq < MAX_SEQ else (t + 1, MIN_SEQ)
     return low, high
 
 
-def _open(piece: BucketPart, read: Read, queries: Queries) -> Iterator[TableRow]:
-    """Request the first rows of a bucket by some queries (None: all rows); return them in order."""
-    if piece.table.packed:
-        return _blocks(piece, read, queries)
+def _open(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+    """Request the first rows of a bucket by some queries (None: all rows); return them in order.
+
+    The request is sent before this returns.
+    """
+    if plan.table.packed:
+        return _blocks(plan, read, queries)
     if queries is None:
-        return _Stream(piece, read, _ALL).rows()
+        return _Stream(plan, read, _EVERY_ROW).rows()
     # The queries of a bucket share the memory of one.
-    share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(queries))))
-    return _merge(piece, read, [_Stream(share, read, query) for query in queries])
+    share = plan._replace(page_rows=max(1, plan.page_rows // max(1, len(queries))))
+    return _merge(plan, read, [_Stream(share, read, query) for query in queries])
 
 
-def _blocks(piece: BucketPart, read: Read, queries: Queries) -> Iterator[TableRow]:
-    """Request the first blocks of a bucket; return their messages."""
+def _blocks(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+    """Request the first blocks of a bucket; return all of its messages in order."""
     chooser = read.chooser
-    columns = None if read.columns is None else read.columns(piece.table)
-    bare = columns is not None and not columns
-    bucket = _read_of(piece, read, queries, bare=bare)
+    columns = None if read.columns is None else read.columns(plan.table)
+    bare = columns is not None and not columns  # the caller needs no field
+    bucket = _read_of(plan, read, queries, bare=bare)
     if chooser is None or queries is None:
         return stream(bucket)
-    return _learn_rows(piece, chooser, stream(bucket))
+    return _learn_rows(plan, chooser, stream(bucket))
 
 
-def _read_of(piece: BucketPart, read: Read, queries: Queries, *, bare: bool = False) -> BucketRead:
+def _read_of(plan: BucketPlan, read: Read, queries: Queries, *, bare: bool = False) -> BucketRead:
     """Return the read of a bucket of blocks: of those that pass one of some queries; None = all."""
-    table, chooser = piece.table, read.chooser
+    table, chooser = plan.table, read.chooser
     return BucketRead(
-        piece.table,
-        piece.node,
-        piece.bucket,
-        _ends_of(piece, read),
+        plan.table,
+        plan.node,
+        plan.bucket,
+        _ends_of(plan, read),
         read.reverse,
         read.whose.writers,
         bare=bare,
         filters=None if queries is None else [terms for terms, _ in queries],
         sift=None if chooser is None else chooser.sift(table),
         opened=None if chooser is None else partial(chooser.opened, table),
-        wanted=piece.first_rows,
-        early=min(EARLY_BLOCKS, len({row.writer for row in piece.rows})),
-        page_bytes=piece.page_bytes,
+        wanted=plan.first_rows,
+        early=min(EARLY_BLOCKS, len({row.writer for row in plan.rows})),
+        page_bytes=plan.page_bytes,
     )
 
 
 def _open_blocks(
-    piece: BucketPart, read: Read, queries: Queries
+    plan: BucketPlan, read: Read, queries: Queries
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-    bucket = _read_of(piece, read, queries)
+    """Request the first blocks of a bucket; return all of its blocks, each with its read."""
+    bucket = _read_of(plan, read, queries)
     blocks = opened(bucket)
     if read.chooser is not None and queries is not None:
-        blocks = _learn_blocks(piece, read.chooser, blocks)
+        blocks = _learn_blocks(plan, read.chooser, blocks)
     return zip(repeat(bucket), blocks)
 
 
 def _learn_blocks(
-    piece: BucketPart, chooser: Chooser, blocks: Iterator[OpenedBlock]
+    plan: BucketPlan, chooser: Chooser, blocks: Iterator[OpenedBlock]
 ) -> Iterator[OpenedBlock]:
+    """Yield the blocks of a bucket; if all are taken, tell the chooser the number of messages."""
     count = 0
     for block in blocks:
-        count += block.left
+        count += block.left  # before the caller takes them out
         yield block
-    chooser.learn(piece.table, piece.rows, count)
+    chooser.learn(plan.table, plan.rows, count)
 
 
-def _learn_rows(
-    piece: BucketPart, chooser: Chooser, rows: Iterator[TableRow]
-) -> Iterator[TableRow]:
+def _learn_rows(plan: BucketPlan, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
+    """Yield the rows of a bucket; if all are taken, tell the chooser how many there were."""
     count = 0
     for row in rows:
         count += 1
         yield row
-    chooser.learn(piece.table, piece.rows, count)
+    chooser.learn(plan.table, plan.rows, count)
 
 
-def _merge(piece: BucketPart, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
-    """Yield the rows of several queries in one order, without duplicates."""
+def _merge(plan: BucketPlan, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
+    """Yield the rows of several queries in one order, without duplicates.
+
+    If all are taken and the server refused no query, the chooser is told their number.
+    """
     count, last = 0, None
     row_streams = [stream.rows() for stream in streams]
     all_rows = heapq.merge(*row_streams, key=_place, reverse=read.reverse)
@@ -254,52 +271,59 @@ def _merge(piece: BucketPart, read: Read, streams: Sequence[_Stream]) -> Iterato
             count += 1
             yield row
     if read.chooser is not None and not any(stream.refused for stream in streams):
-        read.chooser.learn(piece.table, piece.rows, count)
+        read.chooser.learn(plan.table, plan.rows, count)
 
 
 def _place(row: TableRow) -> tuple[int, int]:
+    """Return the place of a row in its bucket."""
     return row.t, row.seq
 
 
 class _Stream:
-    """The rows of one bucket that match one query."""
+    """The rows of one bucket that match one query. The first request is sent when it is made.
 
-    def __init__(self, piece: BucketPart, read: Read, query: Query) -> None:
-        self._piece = piece
+    Attributes:
+        refused: Whether the server refused the query, so that all rows are read.
+    """
+
+    def __init__(self, plan: BucketPlan, read: Read, query: Query) -> None:
+        self._plan = plan
         self._read = read
-        columns = None if read.columns is None else read.columns(piece.table)
-        self._columns = piece.table.columns if columns is None else columns
+        columns = None if read.columns is None else read.columns(plan.table)
+        self._columns = plan.table.columns if columns is None else columns
         # Conditions are checked on columns, so then whole pages are not made into messages.
         self._together = columns is None and read.chooser is None
-        self._place = piece.table.partition_key(piece.node, piece.bucket)
+        self._place = plan.table.partition_key(plan.node, plan.bucket)
         self._terms, indexed = query
         # To filter a row the server needs fewer columns than to return it. If few rows pass, only
         # their keys are requested, and then these rows.
         filtered = bool(self._terms) and not indexed
-        self._keyed = filtered and read.chooser is not None and read.chooser.few(piece.table)
+        self._keyed = filtered and read.chooser is not None and read.chooser.few(plan.table)
         # The server cannot reverse the order of the rows of an index.
         self._turned = read.reverse and indexed
-        self.refused = False  # True = the server refused the query, so all rows are read
+        self.refused = False
         # A writer id is the upper half of a _seq.
         writers = read.whose.writers
         self._heads = None if writers is None else {encode_int(writer) for writer in writers}
-        self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
+        self._at_once = min(KEYS_AT_ONCE, plan.page_rows)
+        """Maximum number of rows that are fetched together by their keys."""
         self._early: tuple[Sequence[RawRow], PagedRead | None] = ((), None)
+        """Keys of rows that were requested on the driver's thread, and this request."""
         self._asked = self._start(None)
 
     def _start(self, last: RawRow | None) -> PagedRead:
         """Request the rows after the last one that was read."""
-        table = self._piece.table
+        table = self._plan.table
         if self._keyed:
-            self._these()  # prepared here: the driver's thread must not wait for the server
+            self._prepared_by_keys()  # now: the driver's thread must not wait for the server
         try:
             return table.select_range(
                 KEYS if self._keyed else table.listing(self._columns),
                 self._place,
-                _ends_of(self._piece, self._read),
+                _ends_of(self._plan, self._read),
                 terms=self._terms,
-                page_rows=self._piece.page_rows,
-                first_rows=0 if self._turned or last else self._piece.first_rows,
+                page_rows=self._plan.page_rows,
+                first_rows=0 if self._turned or last else self._plan.first_rows,
                 reverse=self._read.reverse and not self._turned,
                 last=last,
                 refused=is_refused if self._terms else None,
@@ -312,12 +336,13 @@ class _Stream:
 
     def _all(self, exc: object, last: RawRow | None) -> PagedRead:
         """Go on with all rows, if a server forbids filtering or is too slow at it."""
-        topic = self._piece.table.metadata.topic
+        topic = self._plan.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
         self._terms, self._turned, self._keyed, self.refused = (), False, False, True
         return self._start(last)
 
     def rows(self) -> Iterator[TableRow]:
+        """Yield the rows in the order of reading."""
         if self._turned:
             rows = self._read_turned()
             if rows is not None:
@@ -329,7 +354,7 @@ class _Stream:
         while True:
             try:
                 for page in self._asked.pages():
-                    if self._keyed and self._crowds(page):
+                    if self._keyed and self._are_too_many(page):
                         break
                     yield from self._rows_of(self._fetch(page) if self._keyed else page)
                     last = self._asked.last
@@ -341,28 +366,32 @@ class _Stream:
             except DRIVER_ERRORS as exc:
                 self._asked = self._all(exc, last)
 
-    def _crowds(self, keys: Sequence[RawRow]) -> bool:
+    def _are_too_many(self, keys: Sequence[RawRow]) -> bool:
         """Return whether there are so many keys that requesting whole rows is faster."""
         if len(keys) <= KEYS_AT_ONCE:
             return False
         span = abs(decode_long(keys[-1][0]) - decode_long(keys[0][0]))
-        return len(keys) > KEYED_SHARE * self._piece.listed_in(span)
+        return len(keys) > KEYED_SHARE * self._plan.listed_in(span)
 
     def _read_turned(self) -> list[TableRow] | None:
-        """Read the rows of an index to reverse them; None if that fails or they are too many."""
+        """Read the rows of an index, ascending; None if that fails or they are too many."""
         rows: list[TableRow] = []
         try:
             for page in self._asked.pages():
                 rows.extend(self._rows_of(page))
-                if len(rows) > TURNED_PAGES * self._piece.page_rows:
+                if len(rows) > TURNED_PAGES * self._plan.page_rows:
                     return None
         except DRIVER_ERRORS as exc:
-            _log.info("topic %s by an index: %s", self._piece.table.metadata.topic, exc)
+            _log.info("topic %s by an index: %s", self._plan.table.metadata.topic, exc)
             return None
         return rows
 
     def _rows_of(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
-        table, node, heads = self._piece.table, self._piece.node, self._heads
+        """Make rows of a page, or of some rows; leave out those of other writers, and expired ones.
+
+        Rows made with their messages (rows_of_page) have these in place of the columns.
+        """
+        table, node, heads = self._plan.table, self._plan.node, self._heads
         if self._together and heads is None and isinstance(values, RawPage):
             rows = rows_of_page(table, node, values)
             if rows is not None:
@@ -374,26 +403,27 @@ class _Stream:
         return map(partial(table.row_from_values, node), values)
 
     def _fetch(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
-        """Fetch the rows of keys, in their order."""
+        """Fetch the rows of keys, in their order. Rows that were deleted meanwhile are missing."""
         for n in range(0, len(keys), self._at_once):
             batch = keys[n : n + self._at_once]
             early, request = self._early
             if request is None or early != batch:
-                request = self._ask_these(batch)
+                request = self._ask_by_keys(batch)
             yield from request.page()
 
     def _fetch_early(self, keys: Sequence[RawRow]) -> None:
         """Request the first rows as soon as their keys are here, on the driver's thread."""
-        if keys and not self._crowds(keys):
+        if keys and not self._are_too_many(keys):
             batch = keys[: self._at_once]
-            self._early = batch, self._ask_these(batch)
+            self._early = batch, self._ask_by_keys(batch)
 
-    def _these(self) -> PreparedStatement:
-        return self._piece.table.select_these(self._columns, reverse=self._read.reverse)
+    def _prepared_by_keys(self) -> PreparedStatement:
+        """Return the statement that fetches rows by their keys."""
+        return self._plan.table.select_these(self._columns, reverse=self._read.reverse)
 
-    def _ask_these(self, batch: Sequence[RawRow]) -> PagedRead:
+    def _ask_by_keys(self, batch: Sequence[RawRow]) -> PagedRead:
         values = (*self._place, encode_orders([(t or b"", seq or b"") for t, seq in batch]))
-        return self._piece.table.send(bind(self._these(), values, self._at_once))
+        return self._plan.table.send(bind(self._prepared_by_keys(), values, self._at_once))
 
 
 def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:
@@ -405,25 +435,25 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
     waiting = _BucketQueue(directory, tables, read, _open)
     count = 0
-    while heap or waiting.left:
-        while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
+    while heap or waiting.has_next:
+        while waiting.has_next and (not heap or waiting.opens_before(heap[0][2].t, sign)):
             stream = waiting.next_rows()
             first = next(stream, None)
             if first is not None:
-                count += 1
+                count += 1  # number of the stream: the heap never compares two rows
                 heapq.heappush(heap, (_order(first, sign), count, first, stream))
         if not heap:
             return
         _, number, row, stream = heapq.heappop(heap)
         # While one stream is before all others it does not need the heap.
         yield row
-        if not heap and not waiting.left:
+        if not heap and not waiting.has_next:
             yield from stream
             return
         limit = heap[0][0] if heap else None
         for row in stream:
             late = limit is not None and _order(row, sign) > limit
-            if late or (waiting.left and waiting.opens_before(row.t, sign)):
+            if late or (waiting.has_next and waiting.opens_before(row.t, sign)):
                 heapq.heappush(heap, (_order(row, sign), number, row, stream))
                 break
             yield row
@@ -438,22 +468,25 @@ def read_blocks(
     chooser come the blocks, and their messages, that it does not leave out.
     """
     waiting = _BucketQueue(directory, tables, read, _open_blocks)
-    while waiting.left:
+    while waiting.has_next:
         yield from waiting.next_rows()
 
 
 def _order(row: TableRow, sign: int) -> _Order:
+    """Return what rows are compared by; sign: 1 = ascending, -1 = descending."""
     if sign > 0:
         return row[:4]
     return (-row.t, _invert(row.node), -row.seq, _invert(row.table))
 
 
 def _invert(text: str) -> tuple[int, ...]:
+    """Return what sorts texts in descending order."""
     # The last number is above all others, so of two texts the longer one comes first.
     return (*(-ord(c) for c in text), 1)
 
 
 def _walk(directory: Directory, table: RowTable, read: Read) -> BucketWalk:
+    """Return the walk through the buckets of a table that may hold rows of a read."""
     return BucketWalk(
         directory,
         table.name,
@@ -465,8 +498,11 @@ def _walk(directory: Directory, table: RowTable, read: Read) -> BucketWalk:
     )
 
 
-def _pieces(table: RowTable, walk: BucketWalk, read: Read) -> Iterator[BucketPart]:
-    """Yield the buckets of a table that may hold rows of a read, in order of their beginnings."""
+def _plans(table: RowTable, walk: BucketWalk, read: Read) -> Iterator[BucketPlan]:
+    """Yield the buckets of a table that may hold rows of a read, in order of their beginnings.
+
+    They have no sizes of pages yet. Among them are entries without rows: see BucketPlan.
+    """
     length = table.metadata.bucket_ns
     high = read.time_range.high
     if read.after is not None:
@@ -477,14 +513,18 @@ def _pieces(table: RowTable, walk: BucketWalk, read: Read) -> Iterator[BucketPar
         if group and read.skip is not None and read.skip(table, group[0].node, bucket):
             continue
         start = min((bucket + 1) * length, high + 1) if read.reverse else bucket * length
-        yield BucketPart(start, table, group[0].node if group else "", bucket, group)
+        yield BucketPlan(start, table, group[0].node if group else "", bucket, group)
 
 
 def foresee(
     directory: Directory, tables: Sequence[RowTable], read: Read
-) -> tuple[list[BucketPart], int]:
-    """Return the buckets in which a read probably begins, and the number of nodes of its tables."""
-    buckets: list[BucketPart] = []
+) -> tuple[list[BucketPlan], int]:
+    """Return the buckets in which a read probably begins, and the number of nodes of its tables.
+
+    Both are what the last read of the same tables in the same direction met; there are no buckets
+    if that is unknown, or if it began in too many.
+    """
+    buckets: list[BucketPlan] = []
     streams = 0
     for table in tables:
         first_nodes, groups = directory.first.get((table.name, read.reverse), ((), ()))
@@ -494,7 +534,7 @@ def foresee(
         streams += len(nodes)
         low, high = _first_and_last(read, table)
         buckets += [
-            BucketPart(0, table, group[0].node, group[0].bucket, group)
+            BucketPlan(0, table, group[0].node, group[0].bucket, group)
             for group in groups
             if group[0].node in nodes and low <= group[0].bucket <= high and _may_hold(read, group)
         ]
@@ -504,30 +544,32 @@ def foresee(
 def _note_first(
     directory: Directory,
     walks: Iterable[tuple[RowTable, Collection[str]]],
-    pieces: Iterable[BucketPart],
+    plans: Iterable[BucketPlan],
     read: Read,
 ) -> None:
     """Cache the buckets in which a read began, and the nodes that were found in each table."""
     groups: dict[str, list[Sequence[BucketRow]]] = {}
-    for piece in pieces:
-        if piece.rows:
-            groups.setdefault(piece.table.name, []).append(piece.rows)
+    for plan in plans:
+        if plan.rows:
+            groups.setdefault(plan.table.name, []).append(plan.rows)
     for table, nodes in walks:
         if table.name in groups:
             directory.first[table.name, read.reverse] = tuple(nodes), groups[table.name]
 
 
-def _begins(piece: BucketPart) -> tuple[int, str, str]:
-    return piece.start, piece.node, piece.table.name
+def _begins(plan: BucketPlan) -> tuple[int, str, str]:
+    """Return what the buckets of several tables are sorted by."""
+    return plan.start, plan.node, plan.table.name
 
 
-def _request(piece: BucketPart) -> _Request:
-    """Return what distinguishes the request for a piece from that for another piece of a read."""
-    sizes = piece.page_rows, piece.page_bytes, piece.first_rows
-    return (piece.table.name, piece.node, piece.bucket, *sizes)
+def _request(plan: BucketPlan) -> _Request:
+    """Return what distinguishes the request for a bucket from others of the same read."""
+    sizes = plan.page_rows, plan.page_bytes, plan.first_rows
+    return (plan.table.name, plan.node, plan.bucket, *sizes)
 
 
 def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
+    """Return the number of rows of a page of a bucket, by its entries in the directory."""
     count = sum(row.rows for row in group)
     if not count:
         return max(1, page_bytes // UNKNOWN_ROW_BYTES)
@@ -548,11 +590,11 @@ class _BucketQueue(Generic[_T]):
     taken.
 
     Args:
-        open_piece: Requests the rows of a bucket by the chosen queries.
+        open_bucket: Requests the rows of a bucket by the chosen queries.
 
     Attributes:
-        left: Whether there are buckets to be read.
-        start: Time at which the next bucket begins, ns.
+        has_next: Whether there are buckets to be read.
+        start: Time at which the next bucket begins, ns; see BucketPlan.
     """
 
     def __init__(
@@ -560,28 +602,34 @@ class _BucketQueue(Generic[_T]):
         directory: Directory,
         tables: Sequence[RowTable],
         read: Read,
-        open_piece: Callable[[BucketPart, Read, Queries], Iterator[_T]],
+        open_bucket: Callable[[BucketPlan, Read, Queries], Iterator[_T]],
     ) -> None:
         self._directory = directory
         self._read = read
-        self._open = open_piece
+        self._open = open_bucket
         self._rows = max(1, read.wanted or 1)
+        """Number of rows that are wanted of the next buckets, if few are."""
         self._few = _takes_few(read)
         self._early: dict[_Request, Iterator[_T]] = {}
+        """Buckets that were requested before the directory answered."""
         if self._few and (read.chooser is None or not read.chooser.checks):
             self._foresee(directory, tables)
         walks = [(table, _walk(directory, table, read)) for table in tables]
-        pieces = [_pieces(table, walk, read) for table, walk in walks]
-        self._pieces = heapq.merge(*pieces, key=_begins, reverse=read.reverse)
-        self._next = next(self._pieces, None)
-        self._asked: deque[tuple[BucketPart, Iterator[_T], bool]] = deque()
+        plans = [_plans(table, walk, read) for table, walk in walks]
+        self._plans = heapq.merge(*plans, key=_begins, reverse=read.reverse)
+        self._next = next(self._plans, None)
+        self._asked: deque[tuple[BucketPlan, Iterator[_T], bool]] = deque()
+        """Requested buckets, their rows, and whether the server filters them."""
         self._ahead = 0 if self._few else 1
+        """Number of buckets that are requested in addition to the next one."""
         self._listed = 0
+        """Number of rows, by the directory, of the buckets that were taken."""
         self._unnoted = walks if self._few else []
-        self._share(sum(len(walk.met) for _, walk in walks))
-        self._look()
+        """The walks until it was noted in which buckets they began."""
+        self._divide_among(sum(len(walk.met) for _, walk in walks))
+        self._update_next()
 
-    def _share(self, streams: int) -> None:
+    def _divide_among(self, streams: int) -> None:
         """Divide the memory, and the number of wanted rows, among these streams."""
         self._streams = max(1, streams)
 
@@ -593,41 +641,46 @@ class _BucketQueue(Generic[_T]):
 
     def _foresee(self, directory: Directory, tables: Sequence[RowTable]) -> None:
         """Request the buckets that are probably read first, before the directory answers."""
-        pieces, streams = foresee(directory, tables, self._read)
-        self._share(streams)
-        for piece in map(self._set_size, pieces):
-            self._early[_request(piece)] = self._open(piece, self._read, None)
+        plans, streams = foresee(directory, tables, self._read)
+        self._divide_among(streams)
+        for plan in map(self._set_size, plans):
+            self._early[_request(plan)] = self._open(plan, self._read, None)
 
-    def _look(self) -> None:
+    def _update_next(self) -> None:
+        """Set ``has_next`` and ``start`` by the next bucket."""
         first = self._asked[0][0] if self._asked else self._next
-        self.left = first is not None
+        self.has_next = first is not None
         self.start = 0 if first is None else first.start
 
     def opens_before(self, t: int, sign: int) -> bool:
-        """Return whether the next bucket may hold rows that come before or at t."""
+        """Return whether the next bucket may hold rows that come before or at t, ns.
+
+        Args:
+            sign: 1 = ascending, -1 = descending.
+        """
         return (self.start - t) * sign <= 0
 
     def next_rows(self) -> Iterator[_T]:
         """Remove the next bucket from the queue, and return the iterator over its rows.
 
         Before, this bucket and some that follow it are requested, if they are not yet. The caller
-        has checked ``left``; it may read the iterator while it asks for further buckets.
+        has checked ``has_next``; it may read the iterator while it asks for further buckets.
         """
         self._request_ahead()
         self._note_first_buckets()
-        piece, rows, filtered = self._asked.popleft()
-        self._look()
-        self._listed += max(1, piece.listed) if piece.rows else 0
-        if not self._few or (self._listed >= self._rows and self.start != piece.start):
+        plan, rows, filtered = self._asked.popleft()
+        self._update_next()
+        self._listed += max(1, plan.listed) if plan.rows else 0
+        if not self._few or (self._listed >= self._rows and self.start != plan.start):
             self._ahead = min(max(1, 2 * self._ahead), FILTERED_BUCKETS_AHEAD) if filtered else 1
             self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
         return rows
 
     def _request_ahead(self) -> None:
         """Request buckets, in their order, up to the first that need not be requested yet."""
-        while self._next is not None and self._asks(self._next):
+        while self._next is not None and self._is_due(self._next):
             self._ask(self._next)
-            self._next = next(self._pieces, None)
+            self._next = next(self._plans, None)
 
     def _note_first_buckets(self) -> None:
         """Note once, for ``foresee``, in which buckets a read of few rows has begun."""
@@ -636,30 +689,32 @@ class _BucketQueue(Generic[_T]):
             _note_first(self._directory, walks, [b for b, _, _ in self._asked], self._read)
             self._unnoted = []
 
-    def _asks(self, piece: BucketPart) -> bool:
-        """Return whether a bucket is requested in addition to those that already are."""
-        if not self._asked or (piece.rows and len(self._asked) <= self._ahead):
+    def _is_due(self, plan: BucketPlan) -> bool:
+        """Return whether a bucket must be requested now, in addition to those that already are."""
+        if not self._asked or (plan.rows and len(self._asked) <= self._ahead):
             return True
-        if not self._few or not piece.rows or len(self._asked) > FILTERED_BUCKETS_AHEAD:
+        if not self._few or not plan.rows or len(self._asked) > FILTERED_BUCKETS_AHEAD:
             return False
         entries = self._listed + sum(other.listed for other, _, _ in self._asked)
-        return piece.start == self._asked[0][0].start or entries < self._rows
+        return plan.start == self._asked[0][0].start or entries < self._rows
 
-    def _set_size(self, piece: BucketPart) -> BucketPart:
+    def _set_size(self, plan: BucketPlan) -> BucketPlan:
+        """Return a bucket with the sizes of its pages."""
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
-        page_bytes = self._page_bytes(piece.table)
-        return piece._replace(
-            page_rows=_page_rows(piece.rows, page_bytes),
+        page_bytes = self._page_bytes(plan.table)
+        return plan._replace(
+            page_rows=_page_rows(plan.rows, page_bytes),
             page_bytes=page_bytes,
             first_rows=rows if self._few else 0,
         )
 
-    def _ask(self, piece: BucketPart) -> None:
-        if not piece.rows:
-            self._asked.append((piece, iter(()), False))
+    def _ask(self, plan: BucketPlan) -> None:
+        """Request a bucket, unless that was done early; an entry without rows has none."""
+        if not plan.rows:
+            self._asked.append((plan, iter(()), False))
             return
-        piece, chooser = self._set_size(piece), self._read.chooser
-        queries = None if chooser is None else chooser.choose(piece.table, piece.rows)
-        early = self._early.pop(_request(piece), None) if queries is None else None
-        rows = self._open(piece, self._read, queries) if early is None else early
-        self._asked.append((piece, rows, queries is not None))
+        plan, chooser = self._set_size(plan), self._read.chooser
+        queries = None if chooser is None else chooser.choose(plan.table, plan.rows)
+        early = self._early.pop(_request(plan), None) if queries is None else None
+        rows = self._open(plan, self._read, queries) if early is None else early
+        self._asked.append((plan, rows, queries is not None))

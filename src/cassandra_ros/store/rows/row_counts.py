@@ -78,7 +78,7 @@ def count_part(
     ends: tuple[int, int],
     writers: frozenset[int] | None = None,
 ) -> int:
-    """Return the number of messages of writers (None = all) with a time in [low, high]."""
+    """Return the number of messages of writers (None = all) with a time in ``ends``, inclusive."""
     if table.packed:
         return count_blocks(table, node, bucket, *ends, writers)
     keys = scan_keys(table, node, bucket, *ends)
@@ -134,6 +134,7 @@ def recount_open_buckets(
 def _write_back(
     directory: Directory, table: RowTable, row: BucketRow, totals: BucketTotals
 ) -> None:
+    """Write the counts of a bucket to the directory, if that is possible now."""
     try:
         directory.put_recount(table.name, row, totals, table.metadata.ttl)
     except (AccessDenied, StoreUnavailable, ConnectionFailed) as exc:

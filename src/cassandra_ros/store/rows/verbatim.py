@@ -18,7 +18,7 @@ from cassandra_ros.keys import writer_of
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.driver_errors import translate
-from cassandra_ros.store.connection.requests import Flight, Outcome, Patience, RawRow
+from cassandra_ros.store.connection.requests import Flight, Patience, RawRow
 from cassandra_ros.store.rows.writer import WRITE_BATCH_BYTES, WRITE_BATCH_ROWS
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
 from cassandra_ros.store.tables.row_table import (
@@ -101,7 +101,7 @@ class Part(NamedTuple):
 
 
 class Destination(Protocol):
-    """What prepares for the rows of a table, and counts them."""
+    """What prepares for the rows of a table, and counts them. Called on the thread of ``copy``."""
 
     def open(self, node: str, bucket: int, writer: int) -> None:
         """Prepare for rows of a writer in a bucket of the target, before the first one is sent."""
@@ -115,13 +115,13 @@ class Destination(Protocol):
 
 @dataclass
 class CopyCounts:
-    """Numbers of what was copied."""
+    """Numbers of what was copied: of what was sent, until ``copy`` has returned."""
 
     messages: int = 0
     bytes: int = 0
     """Number of bytes of columns and chunks that were sent."""
     totals: dict[tuple[str, int, int], BucketTotals] = field(default_factory=dict)
-    """Node, bucket of the target and writer → counts of the rows."""
+    """Node, bucket of the target and writer → counts of the rows; empty for tables of blocks."""
     damaged: list[str] = field(default_factory=list)
     """Error texts of rows that cannot be copied because they are damaged here."""
 
@@ -130,7 +130,8 @@ class VerbatimCopy:
     """Copies partitions of one table into another one that stores messages alike.
 
     Args:
-        here, there: Connections of the two tables.
+        columns: Result of ``shared_columns`` for the two tables.
+        there: Connection of the target.
         schema: Makes the chunk table of the target when it is first needed.
     """
 
@@ -150,13 +151,16 @@ class VerbatimCopy:
         self.counts = CopyCounts()
         self._flight = Flight(there.send_raw, Patience(GIVE_UP_SEC), there.outage)
         self._failures: list[BaseException] = []
+        """Errors of statements that were given up; the driver's thread appends them."""
         self._mutex = threading.Lock()
+        # Positions of columns in a row that is read; -1 = there is no such column.
         position = columns.position
         self._chunks_at, self._crc_at = position("_nchunks"), position("_crc")
         self._odd_at, self._gone_at = position("_odd"), position("_gone")
         self._count_at, self._last_at = position("_n"), position("_last")
         self._arrival_at = position("_arrival")
         self._expires = bool(source.metadata.ttl and target.metadata.ttl)
+        # After the stored columns each row has its write time, and its lifetime if it expires.
         extra = ['WRITETIME("_conn")'] + ['TTL("_conn")'] * self._expires
         self._names = ", ".join([*map(quote_name, columns.read), *extra])
         self._width = len(columns.read)
@@ -164,8 +168,10 @@ class VerbatimCopy:
     def copy(self, partition: Part) -> None:
         """Copy the rows of a partition; return when the target has acknowledged all of them.
 
+        Rows that are damaged here are left out and listed in ``counts``.
+
         Raises:
-            CassandraRosError: Rows could not be stored.
+            CassandraRosError: Rows could not be stored. Of the partition some rows may be there.
         """
         source = self._source
         low, high = partition.ends
@@ -185,6 +191,7 @@ class VerbatimCopy:
         self._check()
 
     def _takes(self, partition: Part, row: RawRow) -> bool:
+        """Return whether a row is to be copied."""
         if row[2] is None:  # only the value of an index, or a mark of a deletion, is left
             return False
         if partition.since_us and decode_long(row[self._width]) <= partition.since_us:
@@ -199,35 +206,42 @@ class VerbatimCopy:
         return partition.writers is None or self._writer(row) in partition.writers
 
     def _writer(self, row: RawRow) -> int:
+        """Return the writer id of a row; where equal messages are stored once, ``_seq`` is 0."""
         at = self._arrival_at if self._arrival_at >= 0 else 1
         return writer_of(decode_long(row[at]))
 
     def _copy_page(self, partition: Part, rows: Sequence[RawRow]) -> None:
+        """Send rows; if some have chunks, wait before until all chunks are acknowledged."""
         for conn in {row[2] for row in rows}:
             self._destination.connect(decode_long(conn))
         groups: dict[int, list[RawRow]] = {}
         for row in rows:
             bucket = 0 if self._target.named else self._target.bucket_of(decode_long(row[0]))
             groups.setdefault(bucket, []).append(row)
-        whole: dict[int, list[RawRow]] = {}
+        ready: dict[int, list[RawRow]] = {}
         for bucket, group in groups.items():
             for writer in {self._writer(row) for row in group}:
                 self._destination.open(partition.node, bucket, writer)
-            whole[bucket] = [row for row in group if self._copy_chunks(partition, bucket, row)]
+            ready[bucket] = [row for row in group if self._copy_chunks(partition, bucket, row)]
         if any(row[self._chunks_at] is not None for row in rows):
             self._flight.wait()  # a row is the commit mark of its chunks
             self._check()
-        for bucket, group in whole.items():
+        for bucket, group in ready.items():
             for batch in _batches(group):
                 self._send(partition, bucket, batch)
 
     def _place(self, partition: Part, bucket: int) -> tuple[bytes, bytes]:
+        """Encode the partition key of the target; ``bucket`` is ignored for rows with names."""
         return self._target.partition_key(
             partition.node, partition.where if self._target.named else bucket
         )
 
     def _copy_chunks(self, partition: Part, bucket: int, row: RawRow) -> bool:
-        """Send the chunks of a row, if it has any; return whether the row must be sent, too."""
+        """Send the chunks of a row, if it has any; return whether the row must be sent, too.
+
+        It must not be sent if chunks are missing here, or if messages were deleted here from a
+        block that the target has.
+        """
         if self._gone_at >= 0 and row[self._gone_at] is not None:
             # What was deleted here stays there: a block that is there is not written again.
             key = decode_long(row[0]), decode_long(row[1])
@@ -288,35 +302,37 @@ class VerbatimCopy:
     def _submit(self, statement: BatchStatement | BoundStatement, nbytes: int) -> None:
         self._destination.sent(nbytes)
         self.counts.bytes += nbytes
-        self._flight.submit(statement, nbytes, self._outcome)
+        self._flight.submit(statement, nbytes, self._note)
 
-    @property
-    def _outcome(self) -> Outcome:
-        def note(exc: BaseException | None) -> None:
-            if exc is not None:
-                with self._mutex:
-                    self._failures.append(exc)
-
-        return note
+    def _note(self, exc: BaseException | None) -> None:
+        """Note the outcome of a statement; see Outcome."""
+        if exc is not None:
+            with self._mutex:
+                self._failures.append(exc)
 
     def _check(self) -> None:
+        """Raise the first error of a statement that was given up."""
         if self._failures:
             exc = self._failures[0]
             what = f"copying topic {self._source.metadata.topic}"
             raise translate(exc, what, self._there.outage.nodes()) from exc
 
     def _count(self, node: str, bucket: int, row: RawRow) -> None:
-        counts, messages = self.counts, 1
-        if self._count_at >= 0:
-            cuts = row[self._gone_at]
-            messages = decode_long(row[self._count_at]) - (decode_long(cuts[:4]) if cuts else 0)
-        else:
-            key = node, bucket, self._writer(row)
-            totals = counts.totals.setdefault(key, BucketTotals())
-            chunked = row[self._chunks_at] is not None
-            odd = row[self._odd_at] is not None
-            totals.count(decode_long(row[0]), decode_long(row[3]), chunked, odd)
-        counts.messages += messages
+        """Count the messages of a row that is sent."""
+        counts = self.counts
+        if (
+            self._count_at >= 0
+        ):  # a block; the positions of deleted messages begin with their number
+            gone = row[self._gone_at]
+            deleted = decode_long(gone[:4]) if gone else 0
+            counts.messages += decode_long(row[self._count_at]) - deleted
+            return
+        counts.messages += 1
+        key = node, bucket, self._writer(row)
+        totals = counts.totals.setdefault(key, BucketTotals())
+        chunked = row[self._chunks_at] is not None
+        odd = row[self._odd_at] is not None
+        totals.count(decode_long(row[0]), decode_long(row[3]), chunked, odd)
 
 
 def row_keys(table: RowTable, node: str, bucket: int, writers: frozenset[int]) -> dict[Order, int]:
@@ -353,4 +369,5 @@ def _batches(rows: Sequence[RawRow]) -> Iterator[Sequence[RawRow]]:
 
 
 def _size(row: RawRow) -> int:
+    """Return the size of a row in a request, bytes."""
     return sum(len(value) + 4 for value in row if value is not None)

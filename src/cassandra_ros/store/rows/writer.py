@@ -63,7 +63,9 @@ from cassandra_ros.store.tables.schema import Schema
 _log = logging.getLogger(__name__)
 
 TICK_SEC = 0.02
+"""Interval at which the writer's thread looks for batches to send, s."""
 IDLE_SEC = 10.0
+"""Time without rows after which a bucket is closed, s."""
 REOPEN_SEC = 30.0
 """Time without a heartbeat after which a bucket is marked open again before it is written to, s."""
 
@@ -77,6 +79,7 @@ BATCHED_LARGE_BYTES = 8 * 1024 * 1024
 """Maximum size of the large messages whose rows wait in a batch, bytes. They stay in memory until
 the batch is stored."""
 _ROW_OVERHEAD = 60
+"""Approximate size of a row in a batch in addition to its message, bytes."""
 _OWN = struct.Struct(">iqiqiqii")
 """_t, _seq, _conn and _size, each after its size."""
 
@@ -86,7 +89,8 @@ GONE = (TopicNotFound, KeyspaceNotFound)
 """The errors of a table that was dropped, alone or with its keyspace."""
 
 Again = Callable[[], object]
-"""Writes a message again, into the table that its topic has then."""
+"""Writes a message again, into the table that its topic has then. Called without the writer's lock,
+by ``flush`` or on the writer's thread."""
 RowAgain = Callable[[NewRow], object]
 """The same for the message of a given row."""
 
@@ -106,15 +110,20 @@ class Batch:
     rows: list[Prepared | NewRow] = field(default_factory=list)
     """Encoded statements, or rows that are encoded when the batch is sent."""
     sizes: list[int] = field(default_factory=list)
+    """Number of serialised bytes of each message, of those in blocks and in chunks too."""
     times: list[int] = field(default_factory=list)
+    """Key times, ns: of each row, of blocks the first and the last."""
     again: list[Again | None] = field(default_factory=list)
+    """Functions for the rows that were added one by one."""
     runs: list[tuple[Sequence[NewRow], RowAgain]] = field(default_factory=list)
     """Rows that were added together, with one function in place of an ``again`` for each."""
     blocks: list[NewBlock] = field(default_factory=list)
     nbytes: int = 0
+    """Approximate size of the statement, bytes."""
     held: int = 0
     """Number of bytes of the messages in chunks, which are not counted in nbytes."""
     odd_rows: int = 0
+    """Number of messages that are marked odd; of a block that is marked so all."""
     largest: int = 0
     """Size of the largest message that is stored in its row, bytes; messages in chunks do not
     count."""
@@ -123,10 +132,7 @@ class Batch:
     waiting."""
 
     def rewriters(self) -> list[Again | None]:
-        """Return for each message a function that writes it again.
-
-        None if there is no such function.
-        """
+        """Return for each message, in no order, a function that writes it again, or None."""
         runs = [partial(again, row) for rows, again in self.runs for row in rows]
         blocks = (again for block in self.blocks for again in block.rewriters())
         return [*self.again, *runs, *blocks]
@@ -136,7 +142,8 @@ class OpenBucket:
     """State of one partition of one writer; guarded by the writer's lock.
 
     In a table whose rows have names there is one such object for each row, and the directory does
-    not list it. ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
+    not list it. What the outcomes of requests change on other threads (``totals``, ``in_air``,
+    ``changed``, ``must_recount``) they change under ``self.mutex``.
 
     Args:
         table, node, bucket, name: The partition.
@@ -165,11 +172,18 @@ class OpenBucket:
         """Whether the bucket has rows that this object did not count, so its totals are not
         final."""
         self.totals = BucketTotals()
+        """Counts of the rows that were acknowledged."""
         self.in_air = 0
+        """Number of batches, and of large messages in chunks, that have no outcome yet."""
         self.mutex = threading.Lock()
         self.batch = Batch()
-        self.touched = self.marked = time.monotonic()
+        """Rows that have not been sent."""
+        self.touched = time.monotonic()
+        """Monotonic time at which the last row came, s."""
+        self.marked = self.touched
+        """Monotonic time at which the bucket was marked in the directory last, s."""
         self.changed = False
+        """Whether the directory lacks some of the counts."""
         self._place = table.partition_key(node, name if table.named else bucket)
         self._shadows = shadows
         self.filled = filled
@@ -178,6 +192,7 @@ class OpenBucket:
             self._plain = full = table.insert_block()
         else:
             self._plain, full = table.insert(names, full=False), table.insert(names)
+        # Statements with few columns, and with all: most rows need only the first.
         self._plain_id, self._full_id = self._plain.query_id, full.query_id
         bound = BoundStatement(self._plain)
         bound.values = list(self._place)
@@ -208,9 +223,12 @@ class OpenBucket:
         batch.again.append(again)
 
     def add_run(self, rows: Sequence[NewRow], again: RowAgain) -> int:
-        """Add the first of some rows without columns; return how many, 0 if the table has indexes.
+        """Add the first of some rows without columns, as many as the batch takes; return how many.
+
+        It is 0 if the table has indexes: then each row must be added by ``add``.
 
         Args:
+            rows: At least one. None is too large for its row.
             again: Writes the message of one of these rows again.
         """
         batch = self.batch
@@ -222,6 +240,7 @@ class OpenBucket:
         sizes = list(map(len, map(_wire_of, rows)))
         room = WRITE_BATCH_BYTES - batch.nbytes
         if sum(sizes) + _ROW_OVERHEAD * len(rows) > room:
+            # Up to the row that makes the batch full, so it may be a row larger than the limit.
             ends = accumulate(size + _ROW_OVERHEAD for size in sizes)
             count = 1 + sum(1 for _ in takewhile(room.__gt__, ends))
             rows, sizes = rows[:count], sizes[:count]
@@ -298,7 +317,7 @@ class OpenBucket:
 
     def finish_batch(self) -> tuple[Batch, BatchStatement]:
         """Return the filled batch with the statement that stores it, and begin a new batch."""
-        rows = self._encode()
+        rows = self._encode()  # before the next line: it still counts in this batch
         batch = self.drop_batch()
         statement = BatchStatement(BatchType.UNLOGGED)
         statement.is_idempotent = True
@@ -320,28 +339,28 @@ class OpenBucket:
             self.in_air += 1
 
     def end_chunks(self) -> None:
-        """Note that all chunks of a large message are acknowledged; its row can be added now."""
+        """Note that all chunks of a large message are acknowledged and its row is added now."""
         with self.mutex:
             self.in_air -= 1
 
     def _encode(self) -> EncodedRows:
         """Encode the rows of the batch that are not encoded yet, most of them together."""
         rows = self.batch.rows
-        later = [row for row in rows if isinstance(row, NewRow)]
-        others = (
-            [row for row in rows if not isinstance(row, NewRow)] if len(later) < len(rows) else []
+        new = [row for row in rows if isinstance(row, NewRow)]
+        statements = (
+            [row for row in rows if not isinstance(row, NewRow)] if len(new) < len(rows) else []
         )
-        every = self.table.encoder.encode_together([row.wire for row in later]) if later else ()
-        columns = [cells for cells in every if cells is not None]
-        if len(columns) < len(later):
-            for row, cells in zip(later, every):
+        encoded = self.table.encoder.encode_together([row.wire for row in new]) if new else ()
+        columns = [cells for cells in encoded if cells is not None]
+        if len(columns) < len(new):
+            for row, cells in zip(new, encoded):
                 if cells is None:
                     self.batch.nbytes -= len(row.wire) + _ROW_OVERHEAD  # _statement adds it again
-                    others.append(self._statement(row))
-            later = [row for row, cells in zip(later, every) if cells is not None]
+                    statements.append(self._statement(row))
+            new = [row for row, cells in zip(new, encoded) if cells is not None]
         self.batch.rows = []  # not needed any more; releases their memory
-        parts = chain.from_iterable(zip(repeat(self._prefix), _own_columns(later), columns))
-        return EncodedRows(b"".join(parts), len(later), others)
+        parts = chain.from_iterable(zip(repeat(self._prefix), _own_columns(new), columns))
+        return EncodedRows(b"".join(parts), len(new), statements)
 
     def stored(self, batch: Batch) -> None:
         """Add an acknowledged batch to the counts."""
@@ -357,7 +376,10 @@ class OpenBucket:
             self.changed = True
 
     def take_totals(self) -> BucketTotals:
-        """Return the counts of stored rows, and note that the directory gets them."""
+        """Return the counts of stored rows, and note that the directory gets them.
+
+        The result goes on counting: it may be a little ahead, as an open bucket's counts may be.
+        """
         self.changed = False
         return self.totals
 
@@ -383,7 +405,7 @@ class OpenBucket:
 
 
 def _own_columns(rows: Sequence[NewRow]) -> Iterable[bytes]:
-    """Encode our own columns of all formats, each after its size."""
+    """Encode our own columns of rows without chunks, ``_odd`` and ``_raw``, each after its size."""
     if not rows:
         return ()
     times, seqs, conns, wires, *_ = zip(*rows)
@@ -392,14 +414,19 @@ def _own_columns(rows: Sequence[NewRow]) -> Iterable[bytes]:
 
 
 def _statement_head(query_id: bytes, values: int, first: Sequence[bytes]) -> bytes:
-    """Encode the beginning of a prepared statement in a batch: its id and its first values."""
+    """Encode the beginning of a prepared statement in a batch: its id and its first values.
+
+    Args:
+        values: Number of all its values.
+    """
     sized = b"".join(encode_int(len(value)) + value for value in first)
     return struct.pack(f">BH{len(query_id)}sH", 1, len(query_id), query_id, values) + sized
 
 
 _New = Union[NewRow, NewBlock]
 LossCallback = Callable[[str, int, CassandraRosError], None]
-"""Takes (topic, number of rows, error) of lost rows; called on any thread."""
+"""Takes (topic, number of messages, error) of lost messages. It is called on any thread, also on
+that of a call of the writer, with its locks: it must not block, nor call the writer."""
 
 
 @dataclass
@@ -437,6 +464,9 @@ class WriteStats:
 class RowWriter:
     """Writes rows of any number of tables under one writer id. Thread-safe.
 
+    A thread of its own sends batches that have waited for linger_sec, marks the open buckets in the
+    directory, closes idle ones, and writes messages again whose table was dropped.
+
     Args:
         schema: Makes chunk tables when they are first needed.
         writer_id: 31 bits; the upper half of every ``_seq`` that is written.
@@ -444,9 +474,9 @@ class RowWriter:
         block_sec: How long a block may wait to be filled, s; None = until it is full.
         limits: Maximum size of a block.
         give_up_after_sec: How long one request is retried, s.
-        on_loss: Called on another thread with (topic, number of rows, error) of rows that were
-            given up; without it the next call of add, flush or close raises WriteFailed.
-        on_beat: Called every HEARTBEAT_SEC, on another thread.
+        on_loss: Called for rows that were given up; without it the next call of add, flush or close
+            raises WriteFailed.
+        on_beat: Called every HEARTBEAT_SEC, on the writer's thread.
     """
 
     def __init__(
@@ -487,9 +517,14 @@ class RowWriter:
         """Whether rows that a silent store does not take are written again, not lost.
 
         The functions that write them again then keep them elsewhere."""
-        self._moving, self._moves = threading.Lock(), 0
+        self._moving = threading.Lock()
+        """Held while messages are written again, so that ``flush`` waits for those on their way."""
+        self._moves = 0
+        """How many messages were written again so far."""
         self._counting = threading.Lock()
+        """Guards the numbers in stats, which any thread changes."""
         self._error: CassandraRosError | None = None
+        """Error of the first loss that no call has raised yet, if there is no on_loss."""
         self._closing = threading.Event()
         self._ticker = threading.Thread(target=self._tick, name="cassandra_ros-writer", daemon=True)
         self._ticker.start()
@@ -498,11 +533,16 @@ class RowWriter:
         """Take one row; blocks while too many bytes are in flight.
 
         Args:
-            again: Called on another thread if the table is dropped before the row is stored, to
-                write the message into another table; without it the row is lost.
+            again: Called later if the table is dropped before the row is stored, to write the
+                message into another table; without it the row is lost.
 
         Raises:
-            TopicNotFound, KeyspaceNotFound: The table was dropped; the row was not taken.
+            TopicNotFound, KeyspaceNotFound: The table was dropped, or is being replaced; the row
+                was not taken.
+            WriteFailed: Earlier rows were given up, and there is no on_loss; this one was not
+                taken.
+            StoreUnavailable: The program has to end, and the store does not answer. The row may
+                have been counted as lost, or queued to be written again.
         """
         with self._lock:
             if self._error is not None:
@@ -524,6 +564,9 @@ class RowWriter:
 
     def add_run(self, table: RowTable, node: str, rows: Sequence[NewRow], again: RowAgain) -> int:
         """Take rows of one bucket whose columns are made later, like add.
+
+        Args:
+            rows: None of them is too large for its row.
 
         Returns:
             The number of rows taken; pass the others to add, which may raise.
@@ -556,7 +599,10 @@ class RowWriter:
         return self._builders.get(table, node, conn, key_time, again)
 
     def add_block(self, builder: BlockBuilder, block: NewBlock) -> None:
-        """Take a block; if that fails its messages are counted as lost."""
+        """Take a block; if that fails its messages are counted as lost, or written again later.
+
+        Of the errors only those that are not this package's are raised.
+        """
         table, was_added = builder.table, False
         try:
             if table.name in self.gone:
@@ -582,6 +628,7 @@ class RowWriter:
                 raise
 
     def _name_bucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
+        """Return a new object for the partition of one row that has a name."""
         self._check_taking(table)
         # The directory only lists the nodes: the table itself lists its names.
         self._directory.note(table, node, 0)
@@ -589,6 +636,11 @@ class RowWriter:
         return OpenBucket(table, node, 0, True, name)
 
     def _bucket(self, table: RowTable, node: str, number: int) -> OpenBucket:
+        """Return the open bucket for a row that comes now; the caller holds the lock.
+
+        Raises:
+            TopicNotFound, KeyspaceNotFound: The table was dropped or is being replaced.
+        """
         key = (table.name, node, number)
         bucket = self._buckets.get(key)
         now = time.monotonic()
@@ -606,6 +658,7 @@ class RowWriter:
             raise TopicNotFound(f"topic {topic} is converted: messages go into another table")
 
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
+        """Return a bucket that is marked as open in the directory, before its first row is sent."""
         self._check_taking(table)
         # The present indexes: a bucket that is opened before an index is made has no values for it.
         table.follow(self._schema.latest(table.name, table.metadata))
@@ -619,6 +672,7 @@ class RowWriter:
         return bucket
 
     def _reopen(self, bucket: OpenBucket, late: bool = False) -> None:
+        """Mark a bucket as open; late: it was marked so long ago that REOPEN_SEC have passed."""
         # Other clients took this writer for dead: they may have deleted rows and closed the bucket.
         if late:
             self._check_taking(bucket.table)
@@ -626,6 +680,7 @@ class RowWriter:
         self._put(bucket, None)
 
     def _send(self, bucket: OpenBucket) -> None:
+        """Send the batch of a bucket, under the lock; wait while too much is on its way."""
         batch, statement = bucket.finish_batch()
 
         def outcome(exc: BaseException | None) -> None:
@@ -639,7 +694,11 @@ class RowWriter:
         self._flight.submit(statement, batch.nbytes, outcome)
 
     def _send_large(self, bucket: OpenBucket, new: _New, again: Again | None = None) -> None:
-        """Send the chunks of a message; its row follows when all of them are acknowledged."""
+        """Send the chunks of a message; its row follows when all of them are acknowledged.
+
+        From begin_request on the outcomes decide whether the message is lost: each chunk must have
+        one, also those that an error leaves unsent.
+        """
         table = bucket.table
         self._schema.ensure_chunk_table(table)
         statement = table.insert_chunk()  # may fail, so it comes before anything is counted
@@ -665,6 +724,7 @@ class RowWriter:
     def _chunk_outcome(
         self, bucket: OpenBucket, new: _New, again: Again | None, chunks: Chunks
     ) -> Outcome:
+        """Return the outcome of each chunk of a message: the last one decides about the row."""
         pending, mutex = [chunks.number], threading.Lock()
         failures: list[BaseException] = []
 
@@ -700,6 +760,7 @@ class RowWriter:
             self._send(bucket)
 
     def _commit(self) -> None:
+        """Add the rows of large messages whose chunks are all stored; the caller holds the lock."""
         while self._ready:
             self._ready.popleft()()
 
@@ -711,6 +772,7 @@ class RowWriter:
         return self._flight.nbytes + waiting
 
     def _count(self, table: RowTable, batch: Batch) -> None:
+        """Count an acknowledged batch."""
         # Called on the driver's thread, on those of retries, and on the caller's.
         with self._counting:
             self.stats[table.name].store(len(batch.sizes), sum(batch.sizes))
@@ -722,7 +784,12 @@ class RowWriter:
         times: Sequence[int],
         exc: BaseException,
     ) -> None:
-        """Count rows as lost, or write them again later if their table was dropped."""
+        """Count rows as lost, or queue those that can be written again; called on any thread.
+
+        Args:
+            rows: For each message the function that writes it again, or None.
+            times: Key times, ns, of which the first and the last are reported.
+        """
         lost = len(rows)
         if isinstance(exc, GONE) or is_table_gone(exc):
             # The dropped table has none of them left, so writing them again makes no doubles.
@@ -743,7 +810,7 @@ class RowWriter:
         """Write rows again whose table was dropped or which a silent store did not take.
 
         Returns:
-            How often that was done so far, by any thread.
+            How many messages were written again so far, by any thread.
         """
         with self._moving:
             while self._homeless:
@@ -758,6 +825,7 @@ class RowWriter:
     def _lose(
         self, table: RowTable, rows: int, exc: BaseException, times: Sequence[int] = ()
     ) -> None:
+        """Count messages as lost, and report them; ``times`` as in _fail, () = unknown."""
         topic = table.metadata.topic
         why = translate(exc, "writing", self._cassandra.outage.nodes())
         key_times = times if times and not table.metadata.own_time else (0,)
@@ -775,11 +843,13 @@ class RowWriter:
             self._error = error
 
     def _raise_error(self) -> None:
+        """Raise, once, the error of rows that were given up without an on_loss."""
         if self._error is not None:
             error, self._error = self._error, None
             raise error
 
     def _tick(self) -> None:
+        """Do what is due until the writer is closed: the writer's thread."""
         beat = time.monotonic()
         while not self._closing.wait(TICK_SEC):
             try:
@@ -805,6 +875,7 @@ class RowWriter:
                     return  # the connection was closed without closing this writer
 
     def _send_old(self, now: float) -> None:
+        """Send the batches that have waited for linger_sec; the caller holds the lock."""
         for bucket in list(self._buckets.values()):
             if bucket.batch.rows and now - bucket.batch.since > self._linger_sec:
                 self._send_late(bucket, now)
@@ -823,6 +894,7 @@ class RowWriter:
         self._send(bucket)
 
     def _heartbeats(self, now: float) -> None:
+        """Mark the buckets with new counts in the directory, and close idle ones."""
         with self._lock:
             buckets = list(self._buckets.items())
         for key, bucket in buckets:
@@ -837,6 +909,7 @@ class RowWriter:
                         self._put(bucket, bucket.take_totals())
 
     def _put(self, bucket: OpenBucket, totals: BucketTotals | None, closed: bool = False) -> None:
+        """Mark a bucket in the directory; see Directory.mark."""
         table, node, number = bucket.table, bucket.node, bucket.bucket
         if not closed:
             self._directory.note(table, node, number)
@@ -847,6 +920,7 @@ class RowWriter:
     def flush(self) -> None:
         """Return when every row that was taken is acknowledged or counted as lost."""
         moves = -1
+        # Until none was written again: what was may wait in a batch now.
         while moves != (moves := self._move_on()):
             self._builders.seal()
             with self._lock:
@@ -884,6 +958,13 @@ class RowWriter:
         self._buckets.clear()
 
     def _close_or_leave(self, bucket: OpenBucket) -> None:
+        """Close a bucket in the directory, after a recount if its totals are not final.
+
+        After an error it stays open, and the next reader counts it.
+
+        Raises:
+            StoreUnavailable: The store does not answer.
+        """
         if bucket.table.name in self.gone:
             return  # its directory was deleted with it, and each try would wait for the table
         bucket.check_marked()

@@ -56,7 +56,7 @@ ALL_ROWS = 2**31 - 1
 STALE_SEC = 60.0
 """Age of the heartbeat from which an open bucket has no living writer, s."""
 HEARTBEAT_SEC = 10.0
-"""Interval at which a writer marks its open buckets again, s."""
+"""Interval at which a writer marks again the open buckets in which it has stored rows, s."""
 TTL_MARGIN_SEC = 900
 """How much longer than its rows a bucket is listed, s: a row may be retried for this time."""
 CLOCKS_SEC = 2.0

@@ -61,6 +61,7 @@ def _by_name(table: RowTable, column: str) -> dict[Position, int]:
 def _position(values: RawRow, table: str) -> Position:
     """Return the position of a row from the values of select_names."""
     node, name, t, seq, _, _, _, *received = values
+    # Two columns where equal messages are stored once, whose ``_t`` and ``_seq`` are 0.
     t, seq = received or (t, seq)
     texts = (node or b"").decode(), (name or b"").decode()
     return Position(decode_long(t), texts[0], decode_long(seq), table, texts[1])
