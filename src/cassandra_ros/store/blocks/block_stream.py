@@ -357,6 +357,7 @@ class _Batch:
     """Blocks that are being fetched, in the order in which they are needed.
 
     Args:
+        taken: The blocks, as they were in the queue.
         wanted: Number of messages that the read takes from them; 0 = all.
         early: A read that was sent before, which may return some of the blocks.
     """
@@ -377,10 +378,10 @@ class _Batch:
         self._asked = bucket.fetch(missing) if missing else None
 
     def blocks(self) -> Iterator[OpenedBlock]:
-        """Yield the blocks, unpacked."""
+        """Yield the blocks that have messages to read, unpacked, in no order."""
         yield from self._open
-        came = [] if self._asked is None else self._bucket.blocks(self._asked.page())
-        for row in self._here + came:
+        fetched = [] if self._asked is None else self._bucket.blocks(self._asked.page())
+        for row in self._here + fetched:
             opened = self._bucket.open(row)
             if opened.left:
                 yield opened

@@ -186,6 +186,7 @@ class Cassandra:
         self._process, self._forks = os.getpid(), _forks
         self._closed = False
         self._expected_nodes = 0
+        """Number of nodes that require_nodes asks for."""
         self._keyspaces: set[str] = set()
         """Keyspaces of which the driver knows how they are replicated."""
         self._connecting_until = 0.0
@@ -246,6 +247,7 @@ class Cassandra:
         return self._links.current.session
 
     def _make_cluster(self) -> Cluster:
+        """Return a driver's cluster with our options, not connected yet."""
         name = self._login.username
         password = self._login.password
         auth = PlainTextAuthProvider(name, password or "") if name else None
@@ -287,6 +289,7 @@ class Cassandra:
         )
 
     def _connect(self, cluster: Cluster) -> Link:
+        """Open the two sessions of a cluster; raises like the constructor."""
         try:
             session = cluster.connect()
             raw_session = cluster.connect()
@@ -362,6 +365,7 @@ class Cassandra:
         return statement
 
     def _prepare_new(self, cql: str) -> PreparedStatement:
+        """Prepare a statement, again for a moment if its table is not known; mark it idempotent."""
         pause = 0.05
         while True:
             try:

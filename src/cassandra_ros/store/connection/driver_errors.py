@@ -183,6 +183,7 @@ _ROLES = re.compile(r"User (.+?) does not have sufficient privileges")
 
 
 def _denial(exc: Unauthorized, what: str) -> AccessDenied:
+    """Return an error that says which right the user lacks, as far as the server tells."""
     text = str(exc)
     match = _RIGHT.search(text)
     on_roles = _ROLES.search(text)

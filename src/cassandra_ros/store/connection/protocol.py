@@ -236,6 +236,7 @@ class RawPage(Sequence[RawRow]):
         return self._cut_row(self.body, at)
 
     def _cut_row(self, body: bytes, at: int) -> RawRow:
+        """Return the columns of a row of ``body``, which may be a memoryview."""
         columns: list[bytes | None] = []
         for _ in range(self._width):
             (size,) = _size(body, at)
@@ -498,6 +499,7 @@ def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[BufferedCo
 
 
 def _addresses_of(name: str) -> set[object]:
+    """Return the IP addresses of a host; empty if there are none."""
     try:
         return {info[4][0] for info in socket.getaddrinfo(name, None)}
     except (OSError, UnicodeError):  # maybe a host that we never connect to

@@ -254,6 +254,7 @@ class PagedRead:
         return future
 
     def _result(self) -> Sequence[RawRow]:
+        """Wait for the present page; after a failure request what follows the last row first."""
         if self._has_failed:
             self._future = self._ask()
             self._has_failed = False
@@ -310,6 +311,8 @@ Outcome = Callable[["BaseException | None"], None]
 
 @dataclass(eq=False)
 class _Request:
+    """A statement of a Flight."""
+
     statement: Statement
     nbytes: int
     outcome: Outcome
@@ -413,6 +416,7 @@ class Flight:
         self._end_request(request, None)
 
     def _fail(self, exc: BaseException, request: _Request) -> None:
+        """Send a request that failed again after a pause, or give it up."""
         busy, now = is_busy(exc), time.monotonic()
         trying_sec = now - request.begun
         ends = now if self._is_over() else self._patience.ends(request.begun)
@@ -433,6 +437,10 @@ class Flight:
             self._end_request(request, no_thread)
 
     def _end_request(self, request: _Request, exc: BaseException | None) -> None:
+        """Tell the outcome of a request, if that was not done, and make room for others.
+
+        The callback is called without our lock. ``wait`` returns only after it.
+        """
         with self._changed:
             if request.settled:
                 return

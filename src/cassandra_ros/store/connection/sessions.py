@@ -142,6 +142,7 @@ class Links:
             old.cluster.shutdown()
 
     def _try_to_make(self) -> Link | None:
+        """Return a new link that has the prepared statements; None if none can be made now."""
         if not any(map(_accepts, self._addresses)):
             return None
         try:

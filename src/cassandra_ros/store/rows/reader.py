@@ -422,6 +422,7 @@ class _Stream:
         return self._plan.table.select_these(self._columns, reverse=self._read.reverse)
 
     def _ask_by_keys(self, batch: Sequence[RawRow]) -> PagedRead:
+        """Request the rows of at most _at_once keys, in one page."""
         values = (*self._place, encode_orders([(t or b"", seq or b"") for t, seq in batch]))
         return self._plan.table.send(bind(self._prepared_by_keys(), values, self._at_once))
 
@@ -634,6 +635,7 @@ class _BucketQueue(Generic[_T]):
         self._streams = max(1, streams)
 
     def _page_bytes(self, table: RowTable) -> int:
+        """Return the size of a page of a table's bucket, by the number of buckets read at once."""
         # For filtered blocks only headers are requested ahead, for filtered rows the rows.
         checks = self._read.chooser is not None and not table.packed
         pages = self._streams + (FILTERED_BUCKETS_AHEAD if self._few or checks else 1)

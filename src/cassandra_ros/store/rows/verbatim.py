@@ -280,6 +280,7 @@ class VerbatimCopy:
         return max(1, decode_long(row[self._width + 1]))
 
     def _send(self, partition: Part, bucket: int, rows: Sequence[RawRow]) -> None:
+        """Send rows of one bucket of the target as one batch, and count them."""
         target, place = self._target, self._place(partition, bucket)
         insert = target.insert_stored(self._columns.write, expires=self._expires)
         statements, nbytes = [], 0

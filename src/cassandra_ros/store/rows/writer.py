@@ -663,10 +663,11 @@ class RowWriter:
         # The present indexes: a bucket that is opened before an index is made has no values for it.
         table.follow(self._schema.latest(table.name, table.metadata))
         shadows = table.shadows()
+        # Only columns that earlier rows of this writer have, too, are filled in all of its rows.
         entries = self._directory.find(table.name, node, number)
-        mine = [row.filled for row in entries if row.writer == self._writer_id]
-        filled = frozenset(shadows.names if shadows else ()).intersection(*mine)
-        bucket = OpenBucket(table, node, number, bool(mine), shadows=shadows, filled=filled)
+        earlier = [row.filled for row in entries if row.writer == self._writer_id]
+        filled = frozenset(shadows.names if shadows else ()).intersection(*earlier)
+        bucket = OpenBucket(table, node, number, bool(earlier), shadows=shadows, filled=filled)
         self._reopen(bucket)
         self.stats.setdefault(table.name, WriteStats())
         return bucket

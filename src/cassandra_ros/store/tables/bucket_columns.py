@@ -84,6 +84,7 @@ def read_columns(
 def _ask(
     cassandra: Cassandra, cql: str, slot_range: SlotRange, single: bool
 ) -> Callable[[], BucketColumns]:
+    """Request buckets of a partition of cr_bucket; return what waits for them."""
     key, buckets, limit = slot_range
     values = (*key, list(buckets), limit) if single else (*key, *buckets, limit)
     rows = _ask_rows(cassandra, cql, values, PAGE_ROWS)

@@ -220,8 +220,8 @@ class Registry:
     def delete_entries(self, table: str) -> None:
         """Delete the connection headers of a dropped table (a full scan: connections are few)."""
         rows = self._tables.select("cr_connection", "tbl, conn", what="listing the connections")
-        mine = [row for row in rows if row[0] == table]
-        self._tables.delete("cr_connection", ("tbl", "conn"), mine, "removing connection headers")
+        keys = [row for row in rows if row[0] == table]
+        self._tables.delete("cr_connection", ("tbl", "conn"), keys, "removing connection headers")
 
     def put_run(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
         """Write a run; the server adds the time at which it started or ended.
@@ -367,12 +367,14 @@ class Registry:
 
 
 def _to_int(number: int) -> int | None:
+    """Return the column of a connection number; see above."""
     if number < 2**31:
         return number
     return number - 2**32 if number < 2**32 - 1 else None
 
 
 def _from_int(column: int | None) -> int:
+    """Return the connection number of a column."""
     if column is None:
         return 2**32 - 1
     return column if column >= -1 else column + 2**32

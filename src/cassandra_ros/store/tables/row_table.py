@@ -308,6 +308,7 @@ class RowTable:
         return self._prepare(f"SELECT {names} FROM {self._chunks} PER PARTITION LIMIT 1")
 
     def _select(self, names: str, rest: str) -> PreparedStatement:
+        """Return the SELECT of columns in one partition; ``rest`` = CQL after its key."""
         return self._prepare(f"SELECT {names} FROM {self.qualified} {self._where} {rest}")
 
     def select_these(self, columns: Sequence[str], *, reverse: bool) -> PreparedStatement:

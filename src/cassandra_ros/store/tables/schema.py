@@ -288,12 +288,12 @@ class Schema:
             SchemaConflict: The topic is being converted.
         """
         listing = self.listing(fresh=True)
-        mine = {name: m for name, m in listing.visible.items() if m.topic == topic}
-        if not mine:
+        tables = {name: m for name, m in listing.visible.items() if m.topic == topic}
+        if not tables:
             raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
-        for name in mine:
+        for name in tables:
             listing.check_staying(name)
-        return mine
+        return tables
 
     def ensure_tables(self, wishes: Sequence[TableWish]) -> list[str | None]:
         """Find the tables for new messages, or make those that are missing; return their names.
@@ -316,11 +316,12 @@ class Schema:
         listing = self.listing(fresh=True)
         tables: list[_NewTable] = []
         for wish in wishes:
-            mine = [table.metadata for table in tables if table.metadata.topic == wish.key[0]]
-            is_planned = any(self._is_for(m, wish) for m in mine)
+            topic = wish.key[0]
+            planned = [table.metadata for table in tables if table.metadata.topic == topic]
+            is_planned = any(self._is_for(m, wish) for m in planned)
             if not is_planned and self._find(listing, wish) is None:
-                others = [listing.visible[name] for name in listing.by_topic.get(wish.key[0], ())]
-                tables.append(_new_table(*wish.plan([*others, *mine]), large=wish.large))
+                present = [listing.visible[name] for name in listing.by_topic.get(topic, ())]
+                tables.append(_new_table(*wish.plan([*present, *planned]), large=wish.large))
         self._make(tables, lock)
         self._check(tables)
 
@@ -433,6 +434,7 @@ class Schema:
         table.note_chunks()
 
     def _make_chunk_table(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+        """Make a chunk table, unless another client was first."""
         if not self._comments(table):
             raise TopicNotFound(
                 f"table {table} was removed by another client; messages of its topic need "

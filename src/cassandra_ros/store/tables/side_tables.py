@@ -512,6 +512,7 @@ def _when_made(read: Callable[[], _Rows]) -> _Rows:
 
 
 def _warn_of_factor(keyspace: str, replication: Mapping[str, str], factor: int) -> None:
+    """Warn if an existing keyspace keeps fewer copies than ``factor`` in a data centre."""
     factors = [int(v) for k, v in replication.items() if k != "class" and str(v).isdigit()]
     if factors and min(factors) < factor:
         _log.warning(
