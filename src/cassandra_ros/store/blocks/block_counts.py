@@ -4,9 +4,7 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterator, Optional, Tuple
-
-import numpy as np
+from typing import FrozenSet, Iterator, Optional
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.store.blocks.block_row import (
@@ -17,14 +15,12 @@ from cassandra_ros.store.blocks.block_row import (
     read_block,
     read_blocks,
 )
-from cassandra_ros.store.blocks.codec import Longs
-from cassandra_ros.store.tables.row_table import ALL, MAX_SEQ, MIN_SEQ, Order, RowTable, encode_long
+from cassandra_ros.store.tables.row_table import ALL, MAX_SEQ, MIN_SEQ, RowTable, encode_long
 
 PAGE_HEADERS = 5000
 _AT_ONCE = 16
 """Maximum number of blocks that are fetched and unpacked together."""
 
-Ends = Tuple[Order, Order]
 Writers = Optional[FrozenSet[int]]
 """Writer ids; None = all."""
 
@@ -137,8 +133,3 @@ def measure(
         # The headers still tell the number of messages.
         for row in by_key.values():
             yield row, RemainingMessages(row)
-
-
-def positions(block: Block, low: int, high: int) -> Longs:
-    """Return the positions of messages with a time in [low, high] that are not deleted."""
-    return np.asarray(block.between((low, MIN_SEQ), (high, MAX_SEQ)))

@@ -11,10 +11,17 @@ from __future__ import annotations
 
 from typing import Collection, Mapping, Sequence
 
-from cassandra_ros.store.blocks.block_counts import opened, positions
+from cassandra_ros.store.blocks.block_counts import opened
 from cassandra_ros.store.blocks.block_row import HEADER_COLUMNS, BlockRow, ask_blocks, read_block
 from cassandra_ros.store.connection.cassandra import Cassandra
-from cassandra_ros.store.tables.row_table import BlockKey, Order, RowTable, decode_long
+from cassandra_ros.store.tables.row_table import (
+    MAX_SEQ,
+    MIN_SEQ,
+    BlockKey,
+    Order,
+    RowTable,
+    decode_long,
+)
 
 
 class BlockDeletion:
@@ -47,11 +54,10 @@ class BlockDeletion:
         others = [row for row in rows if not (low <= row.t and row.last <= high)]
         cuts: dict[BlockKey, set[int]] = {}
         for block in opened(self._table, *self._where, iter(others)):
-            indices = positions(block, low, high)
-            if len(indices):
-                key = block.row.block_key
-                cuts[key] = set(indices.tolist())
-                count += len(indices)
+            places = block.between((low, MIN_SEQ), (high, MAX_SEQ))
+            if len(places):
+                cuts[block.row.block_key] = set(places.tolist())
+                count += len(places)
         self.cut(cuts)
         return count
 

@@ -405,7 +405,7 @@ class Cassandra:
         Args:
             cql: Text with ``?`` for each parameter.
             what: What the statement does, for the error text ("reading the runs").
-            consistency: A level other than the connection's; None = that of the connection.
+            consistency: The driver's number of another consistency level; None = the connection's.
             retry_sec: How long it is repeated while it fails.
 
         Raises:

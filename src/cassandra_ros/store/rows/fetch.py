@@ -54,11 +54,8 @@ class RowKey(NamedTuple):
     position: Position
 
 
-def fetch_rows(keys: Iterable[RowKey], ahead: int = FETCHED_ROWS_AHEAD) -> Iterator[TableRow]:
+def fetch_rows(keys: Iterable[RowKey]) -> Iterator[TableRow]:
     """Yield rows in the given order; rows that were deleted meanwhile are left out.
-
-    Args:
-        ahead: Number of rows that are on their way at the same time.
 
     Raises:
         CorruptMessage: A row, or the block that holds it, is damaged.
@@ -69,7 +66,7 @@ def fetch_rows(keys: Iterable[RowKey], ahead: int = FETCHED_ROWS_AHEAD) -> Itera
         # The block of one message may hold the next ones too, so blocks are not requested ahead.
         return key, None if key.table.packed else _ask(key)
 
-    for key, request in sent_ahead(map(sent, keys), ahead):
+    for key, request in sent_ahead(map(sent, keys), FETCHED_ROWS_AHEAD):
         if request is not None:
             row = _answer(key, request)
         else:

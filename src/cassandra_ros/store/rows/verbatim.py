@@ -155,7 +155,7 @@ class VerbatimCopy:
         self._mutex = threading.Lock()
         # Positions of columns in a row that is read; -1 = there is no such column.
         position = columns.position
-        self._chunks_at, self._crc_at = position("_nchunks"), position("_crc")
+        self._chunks_at = position("_nchunks")
         self._odd_at, self._gone_at = position("_odd"), position("_gone")
         self._count_at, self._last_at = position("_n"), position("_last")
         self._arrival_at = position("_arrival")
