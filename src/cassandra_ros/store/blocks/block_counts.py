@@ -65,9 +65,11 @@ def opened(table: RowTable, node: str, bucket: int, rows: Iterator[BlockRow]) ->
     Raises:
         CorruptMessage: A block is damaged.
     """
-    place, keys = table.partition_key(node, bucket), [row.key for row in rows]
+    partition_key = table.partition_key(node, bucket)
+    keys = [row.key for row in rows]
     for n in range(0, len(keys), _AT_ONCE):
-        for row in read_blocks(table, ask_blocks(table, place, keys[n : n + _AT_ONCE]).page()):
+        request = ask_blocks(table, partition_key, keys[n : n + _AT_ONCE])
+        for row in read_blocks(table, request.page()):
             yield Block(table, node, row)
 
 

@@ -78,8 +78,10 @@ class BlockDeletion:
 
     def _clear(self, keys: Sequence[Order]) -> None:
         """Delete blocks that have no messages left, and marks without a block."""
-        place, empty, alone = self._table.partition_key(*self._where), [], []
-        for values in ask_blocks(self._table, place, keys, HEADER_COLUMNS).page():
+        partition_key = self._table.partition_key(*self._where)
+        empty: list[Order] = []
+        alone: list[Order] = []
+        for values in ask_blocks(self._table, partition_key, keys, HEADER_COLUMNS).page():
             row = read_block(self._table, values)
             if row is None:
                 alone.append((decode_long(values[0]), decode_long(values[1])))

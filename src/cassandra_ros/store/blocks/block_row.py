@@ -20,6 +20,7 @@ from cassandra_ros.store.tables.row_table import (
     ODD,
     BlockKey,
     Order,
+    PartitionKey,
     RowTable,
     TableRow,
     bind,
@@ -133,18 +134,17 @@ _NONE: Longs = np.empty(0, np.int64)
 
 def ask_blocks(
     table: RowTable,
-    place: tuple[bytes, bytes],
+    partition_key: PartitionKey,
     keys: Sequence[Order],
     names: str = WHOLE_BLOCK_COLUMNS,
 ) -> PagedRead:
     """Request rows by their keys, in one page; rows that are not there are left out.
 
     Args:
-        place: Partition key, encoded.
         names: Columns to read, as CQL.
     """
     orders = encode_orders([(encode_long(t), encode_long(seq)) for t, seq in keys])
-    return table.send(bind(table.select_listed(names), (*place, orders), len(keys)))
+    return table.send(bind(table.select_listed(names), (*partition_key, orders), len(keys)))
 
 
 class Block:

@@ -91,7 +91,7 @@ class BucketRead:
     page_bytes: int = 2 * 1024 * 1024
 
     def __post_init__(self) -> None:
-        self._place = self.table.partition_key(self.node, self.bucket)
+        self._partition_key = self.table.partition_key(self.node, self.bucket)
         begin = self.bucket * self.table.metadata.bucket_ns
         low = self.ends[0][0]
         # An earlier block may reach into the range. All messages of a block are in one bucket.
@@ -116,7 +116,7 @@ class BucketRead:
         reaching = () if is_inside and not self.reverse else self.reaching
         return self.table.select_range(
             names,
-            self._place,
+            self._partition_key,
             ((self.first, MIN_SEQ), (high[0], MAX_SEQ)),
             terms=(*terms, *reaching),
             page_rows=count,
@@ -127,7 +127,7 @@ class BucketRead:
 
     def fetch(self, headers: Sequence[BlockRow]) -> PagedRead:
         """Request blocks with known headers."""
-        return ask_blocks(self.table, self._place, [header.key for header in headers])
+        return ask_blocks(self.table, self._partition_key, [header.key for header in headers])
 
     def blocks(self, page: Iterable[RawRow]) -> list[BlockRow]:
         """Return the blocks of a page that may hold messages to read."""

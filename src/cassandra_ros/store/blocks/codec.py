@@ -249,15 +249,15 @@ def decode_words(data: memoryview, sizes: Sequence[int]) -> bytes:
     loose, count = sum(size & 3 for size in sizes), sum(size >> 2 for size in sizes)
     at = 4 + loose
     codes = np.frombuffer(data, np.uint8)[at : at + count]
-    places = [np.flatnonzero(codes == kind) for kind in (_WHOLE, _SCALED, _OTHER)]
-    if not scale or len(data) != at + count + 4 * sum(map(len, places)):
+    positions = [np.flatnonzero(codes == kind) for kind in (_WHOLE, _SCALED, _OTHER)]
+    if not scale or len(data) != at + count + 4 * sum(map(len, positions)):
         raise CorruptMessage("the words of a block are not as many as its messages have")
     words = codes.astype(_WORD)
     at += count
-    for place, by in zip(places, (1, scale, None)):
-        values = _words_of_planes(data, at, len(place))
-        at += 4 * len(place)
-        words[place] = values if by is None else _as_floats(values, by)
+    for indices, by in zip(positions, (1, scale, None)):
+        values = _words_of_planes(data, at, len(indices))
+        at += 4 * len(indices)
+        words[indices] = values if by is None else _as_floats(values, by)
     return _join_words(words.tobytes(), data[4 : 4 + loose], sizes)
 
 

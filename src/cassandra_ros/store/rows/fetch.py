@@ -95,18 +95,18 @@ def first_at(
     this time, one that this process has not met yet is not preferred, even if it is first in order.
     Of a table that many nodes write to, the directory is asked first.
     """
-    places = [
+    probable = [
         (table, node)
         for table in tables
         for node in sorted(_probable(table) if nodes is None else nodes)
     ]
-    row = _best(places, t)
+    row = _best(probable, t)
     if row is not None or nodes is not None:
         return row
     others: list[tuple[RowTable, str]] = []
     for table, list_nodes in [(table, _begin_listing(directory, table, t)) for table in tables]:
         all_nodes = list_nodes()
-        asked_nodes = {node for other, node in places if other is table}
+        asked_nodes = {node for other, node in probable if other is table}
         others.extend((table, node) for node in sorted(all_nodes - asked_nodes))
         table.known_nodes.update(all_nodes)
     return _best(others, t)
@@ -124,9 +124,9 @@ def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[]
     return lambda: {r.node for r in rows() if not r.closed or r.t_min <= t <= r.t_max}
 
 
-def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
+def _best(table_nodes: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     """Return the first row with a key time of some tables and nodes, asked at the same time."""
-    keys = [RowKey(table, Position(t, node, 0, table.name)) for table, node in places]
+    keys = [RowKey(table, Position(t, node, 0, table.name)) for table, node in table_nodes]
     requests = [(key, _ask(key, any_seq=True)) for key in keys]
     answers = [_answer(*request, any_seq=True) for request in requests]
     rows = [row for row in answers if row is not None]
@@ -216,8 +216,10 @@ def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
     if table.packed:
         return stream(BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1))
     # Two in descending order: see _best_side.
-    place, page_rows = table.partition_key(node, table.bucket_of(t)), 1 + reverse
-    return table.select_range(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
+    partition_key, page_rows = table.partition_key(node, table.bucket_of(t)), 1 + reverse
+    return table.select_range(
+        table.listing(), partition_key, ends, page_rows=page_rows, reverse=reverse
+    )
 
 
 def _best_side(requests: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
@@ -251,10 +253,10 @@ def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
     table, (t, node, seq, _, name) = key
     if table.packed:
         return ask_one(table, key.position, any_seq=any_seq)
-    place = table.partition_key_of(node, t, name)
+    partition_key = table.partition_key_of(node, t, name)
     if any_seq:
-        return table.ask_row(place, t, None)
-    return table.ask_row(place, *table.stored_order(t, seq))
+        return table.ask_row(partition_key, t, None)
+    return table.ask_row(partition_key, *table.stored_order(t, seq))
 
 
 def _answer(key: RowKey, request: PagedRead, *, any_seq: bool = False) -> TableRow | None:

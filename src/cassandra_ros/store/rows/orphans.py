@@ -16,7 +16,14 @@ from cassandra_ros.store.blocks.block_row import ask_blocks
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import chunk_table_name
 from cassandra_ros.store.connection.requests import RawRow
-from cassandra_ros.store.tables.row_table import COUNTED_COLUMNS, Order, RowTable, bind, decode_long
+from cassandra_ros.store.tables.row_table import (
+    COUNTED_COLUMNS,
+    Order,
+    PartitionKey,
+    RowTable,
+    bind,
+    decode_long,
+)
 
 ORPHAN_SEC = 3600
 """Minimum age of chunks that count as left over, s. No message is retried for this long."""
@@ -41,7 +48,7 @@ def partitions(table: RowTable) -> set[tuple[str, Where]]:
     """Return the partitions that have rows: node, and bucket or name (a scan of keys)."""
 
     def read(rows: Iterable[RawRow]) -> set[tuple[str, Where]]:
-        return {_place(table, values) for values in rows}
+        return {_partition_of(table, values) for values in rows}
 
     return table.collect(bind(table.select_partitions(), (), _PAGE_ROWS), read, "listing")
 
@@ -64,7 +71,7 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
     def read(rows: Iterable[RawRow]) -> list[Orphan]:
         old = (values for values in rows if decode_long(values[4]) <= until_us)
         return [
-            Orphan(*_place(table, values), decode_long(values[2]), decode_long(values[3]))
+            Orphan(*_partition_of(table, values), decode_long(values[2]), decode_long(values[3]))
             for values in old
             if not _has_row(table, values)
         ]
@@ -73,17 +80,17 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
     return table.collect(statement, read, "looking for orphans of")
 
 
-def rows_at(table: RowTable, place: tuple[bytes, bytes], key: Order) -> Sequence[RawRow]:
+def rows_at(table: RowTable, partition_key: PartitionKey, key: Order) -> Sequence[RawRow]:
     """Return the counted columns of the row with a key, encoded; empty if there is no such row."""
-    return list(ask_blocks(table, place, [key], COUNTED_COLUMNS).page())
+    return list(ask_blocks(table, partition_key, [key], COUNTED_COLUMNS).page())
 
 
 def _has_row(table: RowTable, values: RawRow) -> bool:
     """Return whether the message of some chunks has a row that refers to chunks."""
-    place = values[0] or b"", values[1] or b""
+    partition_key = values[0] or b"", values[1] or b""
     key = decode_long(values[2]), decode_long(values[3])
     # The fourth column is the number of chunks.
-    return any(row[3] is not None for row in rows_at(table, place, key))
+    return any(row[3] is not None for row in rows_at(table, partition_key, key))
 
 
 def remove_orphans(
@@ -100,7 +107,7 @@ def remove_orphans(
         cassandra.execute_many(table.delete_one(chunks=True, older=True), some, what=what)
 
 
-def _place(table: RowTable, values: RawRow) -> tuple[str, Where]:
+def _partition_of(table: RowTable, values: RawRow) -> tuple[str, Where]:
     """Return node, and bucket or name, of an encoded partition key."""
     node, where = (values[0] or b"").decode(), values[1] or b""
     return node, where.decode() if table.named else decode_long(where)

@@ -133,7 +133,7 @@ class BucketPlan(NamedTuple):
     node: str
     bucket: int
     rows: Sequence[BucketRow]
-    """Rows of its writers in the directory; empty = no bucket, but the place up to which the
+    """Rows of its writers in the directory; empty = no bucket, but how far the
     directory was read."""
     page_rows: int = 0
     page_bytes: int = 0
@@ -260,22 +260,22 @@ def _merge(plan: BucketPlan, read: Read, streams: Sequence[_Stream]) -> Iterator
     """
     count, last = 0, None
     row_streams = [stream.rows() for stream in streams]
-    all_rows = heapq.merge(*row_streams, key=_place, reverse=read.reverse)
+    all_rows = heapq.merge(*row_streams, key=_bucket_order, reverse=read.reverse)
     single = len(row_streams) == 1  # one query returns no duplicates, and rows in order
     for row in row_streams[0] if single else all_rows:
         if single:
             count += 1
             yield row
-        elif _place(row) != last:
-            last = _place(row)
+        elif _bucket_order(row) != last:
+            last = _bucket_order(row)
             count += 1
             yield row
     if read.chooser is not None and not any(stream.refused for stream in streams):
         read.chooser.learn(plan.table, plan.rows, count)
 
 
-def _place(row: TableRow) -> tuple[int, int]:
-    """Return the place of a row in its bucket."""
+def _bucket_order(row: TableRow) -> Order:
+    """Return what the rows of a bucket are sorted by."""
     return row.t, row.seq
 
 
@@ -293,7 +293,7 @@ class _Stream:
         self._columns = plan.table.columns if columns is None else columns
         # Conditions are checked on columns, so then whole pages are not made into messages.
         self._together = columns is None and read.chooser is None
-        self._place = plan.table.partition_key(plan.node, plan.bucket)
+        self._partition_key = plan.table.partition_key(plan.node, plan.bucket)
         self._terms, indexed = query
         # To filter a row the server needs fewer columns than to return it. If few rows pass, only
         # their keys are requested, and then these rows.
@@ -319,7 +319,7 @@ class _Stream:
         try:
             return table.select_range(
                 KEYS if self._keyed else table.listing(self._columns),
-                self._place,
+                self._partition_key,
                 _ends_of(self._plan, self._read),
                 terms=self._terms,
                 page_rows=self._plan.page_rows,
@@ -346,7 +346,7 @@ class _Stream:
         if self._turned:
             rows = self._read_turned()
             if rows is not None:
-                yield from sorted(rows, key=_place, reverse=True)
+                yield from sorted(rows, key=_bucket_order, reverse=True)
                 return
             # All rows, from the newest on.
             self._asked = self._all("an index does not give its rows, or too many", None)
@@ -423,7 +423,7 @@ class _Stream:
 
     def _ask_by_keys(self, batch: Sequence[RawRow]) -> PagedRead:
         """Request the rows of at most _at_once keys, in one page."""
-        values = (*self._place, encode_orders([(t or b"", seq or b"") for t, seq in batch]))
+        values = (*self._partition_key, encode_orders([(t or b"", seq or b"") for t, seq in batch]))
         return self._plan.table.send(bind(self._prepared_by_keys(), values, self._at_once))
 
 

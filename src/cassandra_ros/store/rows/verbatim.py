@@ -26,6 +26,7 @@ from cassandra_ros.store.tables.row_table import (
     KEYS,
     UNSET,
     Order,
+    PartitionKey,
     RowTable,
     bind,
     decode_long,
@@ -230,7 +231,7 @@ class VerbatimCopy:
             for batch in _batches(group):
                 self._send(partition, bucket, batch)
 
-    def _place(self, partition: Part, bucket: int) -> tuple[bytes, bytes]:
+    def _partition_key(self, partition: Part, bucket: int) -> PartitionKey:
         """Encode the partition key of the target; ``bucket`` is ignored for rows with names."""
         return self._target.partition_key(
             partition.node, partition.where if self._target.named else bucket
@@ -246,7 +247,7 @@ class VerbatimCopy:
             # What was deleted here stays there: a block that is there is not written again.
             key = decode_long(row[0]), decode_long(row[1])
             there = self._target.select_range(
-                KEYS, self._place(partition, bucket), (key, key), page_rows=1
+                KEYS, self._partition_key(partition, bucket), (key, key), page_rows=1
             )
             if any(there.rows()):
                 return False
@@ -257,12 +258,12 @@ class VerbatimCopy:
         expires = self._expires and row[self._width + 1] is not None
         insert = self._target.insert_stored_chunk() if expires else self._target.insert_chunk()
         row_key = row[0] or b"", row[1] or b""
-        place = self._place(partition, bucket)
+        partition_key = self._partition_key(partition, bucket)
         where = source.partition_key(partition.node, partition.where)
         select = bind(source.select_chunks(), (*where, *row_key), PAGE_CHUNKS)
         request, numbers = source.send(select, "copying"), set()
         for number, data in request.rows():
-            values = [*place, *row_key, number or b"", data or b""]
+            values = [*partition_key, *row_key, number or b"", data or b""]
             if expires:
                 values.append(encode_int(self._lifetime_sec(row) + CHUNK_TTL_MARGIN_SEC))
             self._submit(bind(insert, values), len(data or b""))
@@ -281,18 +282,18 @@ class VerbatimCopy:
 
     def _send(self, partition: Part, bucket: int, rows: Sequence[RawRow]) -> None:
         """Send rows of one bucket of the target as one batch, and count them."""
-        target, place = self._target, self._place(partition, bucket)
+        target, partition_key = self._target, self._partition_key(partition, bucket)
         insert = target.insert_stored(self._columns.write, expires=self._expires)
         statements, nbytes = [], 0
         for row in rows:
-            values = [*place, *(UNSET if v is None else v for v in row[: self._width])]
+            values = [*partition_key, *(UNSET if v is None else v for v in row[: self._width])]
             if self._expires:
                 values.append(encode_int(self._lifetime_sec(row)))
             statements.append((True, insert.query_id, values))
             nbytes += _size(row)
             self._count(partition.node, bucket, row)
         bound = BoundStatement(insert)
-        bound.values = list(place)
+        bound.values = list(partition_key)
         batch = BatchStatement(BatchType.UNLOGGED)
         batch.is_idempotent = True
         # Does at once what BatchStatement.add does row by row.

@@ -184,7 +184,7 @@ class OpenBucket:
         """Monotonic time at which the bucket was marked in the directory last, s."""
         self.changed = False
         """Whether the directory lacks some of the counts."""
-        self._place = table.partition_key(node, name if table.named else bucket)
+        self._partition_key = table.partition_key(node, name if table.named else bucket)
         self._shadows = shadows
         self.filled = filled
         names = shadows.names if shadows is not None else ()
@@ -195,14 +195,14 @@ class OpenBucket:
         # Statements with few columns, and with all: most rows need only the first.
         self._plain_id, self._full_id = self._plain.query_id, full.query_id
         bound = BoundStatement(self._plain)
-        bound.values = list(self._place)
+        bound.values = list(self._partition_key)
         self._routing_key = bound.routing_key
         values = len(self._plain.column_metadata)
-        self._prefix = _statement_head(self._plain_id, values, self._place)
+        self._prefix = _statement_head(self._plain_id, values, self._partition_key)
 
     def key(self, t: int, seq: int) -> tuple[bytes, ...]:
         """Encode the primary key of a row in this bucket."""
-        return (*self._place, encode_long(t), encode_long(seq))
+        return (*self._partition_key, encode_long(t), encode_long(seq))
 
     def add(self, row: NewRow, again: Again | None, chunks: Chunks | None = None) -> None:
         """Add a row to the batch, with its message in the row or in chunks."""
@@ -269,13 +269,13 @@ class OpenBucket:
         head = encode_own(row.t, row.seq, row.conn, len(wire))
         if not (chunks or odd or raw is not None):
             self.batch.nbytes += len(wire) + _ROW_OVERHEAD
-            return True, self._plain_id, (*self._place, *head, *columns)
+            return True, self._plain_id, (*self._partition_key, *head, *columns)
         flag = ODD if odd else None
         flags: Sequence[bytes | None] = (None, None, flag, raw)
         if chunks:
             flags = (encode_int(chunks.number), encode_long(chunks.crc), flag, None)
         rest = (UNSET if value is None else value for value in (*flags, *columns))
-        full = (*self._place, *head, *rest)
+        full = (*self._partition_key, *head, *rest)
         self.batch.nbytes += _ROW_OVERHEAD + sum(len(v) for v in full if v is not UNSET)
         self.batch.odd_rows += odd
         return True, self._full_id, full
@@ -290,7 +290,7 @@ class OpenBucket:
         else:  # the block has already waited to be filled
             batch.since, batch.largest = -math.inf, max(batch.largest, *sizes)
         values = (
-            *self._place,
+            *self._partition_key,
             *encode_own(block.t, block.seq, block.conn, sum(sizes)),
             encode_long(block.times[-1]),
             encode_int(len(sizes)),
@@ -317,7 +317,7 @@ class OpenBucket:
 
     def finish_batch(self) -> tuple[Batch, BatchStatement]:
         """Return the filled batch with the statement that stores it, and begin a new batch."""
-        rows = self._encode()  # before the next line: it still counts in this batch
+        rows = self._encode()  # it still counts in the batch that the next line replaces
         batch = self.drop_batch()
         statement = BatchStatement(BatchType.UNLOGGED)
         statement.is_idempotent = True
@@ -570,6 +570,9 @@ class RowWriter:
 
         Returns:
             The number of rows taken; pass the others to add, which may raise.
+
+        Raises:
+            StoreUnavailable: See add.
         """
         at = 0
         with self._lock:
@@ -914,8 +917,8 @@ class RowWriter:
         table, node, number = bucket.table, bucket.node, bucket.bucket
         if not closed:
             self._directory.note(table, node, number)
-        place = (table.name, node, number, self._writer_id)
-        self._directory.mark(place, table.metadata.ttl, bucket.filled, totals, closed=closed)
+        key = (table.name, node, number, self._writer_id)
+        self._directory.mark(key, table.metadata.ttl, bucket.filled, totals, closed=closed)
         bucket.mark()
 
     def flush(self) -> None:

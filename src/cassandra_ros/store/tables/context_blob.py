@@ -102,15 +102,15 @@ _MAX_DEPTH = 200
 """Maximum number of lists and mappings in one another."""
 
 
-def _plain(value: object, place: str, depth: int) -> object:
+def _plain(value: object, name: str, depth: int) -> object:
     """Return a value as JSON can hold it; raises InvalidOption.
 
     Args:
-        place: Name of the parameter, for the error text.
+        name: Name of the parameter, for the error text.
         depth: Number of lists and mappings around the value.
     """
     if depth > _MAX_DEPTH:
-        raise InvalidOption(f"parameter {place[:80]}… is nested deeper than {_MAX_DEPTH} levels")
+        raise InvalidOption(f"parameter {name[:80]}… is nested deeper than {_MAX_DEPTH} levels")
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, float):
@@ -122,12 +122,12 @@ def _plain(value: object, place: str, depth: int) -> object:
         data = value.data if isinstance(value, xmlrpc.client.Binary) else bytes(value)
         return {"$binary": base64.b64encode(data).decode("ascii")}
     if isinstance(value, (list, tuple)):
-        return [_plain(element, f"{place}[{i}]", depth + 1) for i, element in enumerate(value)]
+        return [_plain(element, f"{name}[{i}]", depth + 1) for i, element in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        mapping = {k: _plain(element, f"{place}/{k}", depth + 1) for k, element in value.items()}
+        mapping = {k: _plain(element, f"{name}/{k}", depth + 1) for k, element in value.items()}
         return {"$mapping": mapping} if any(key.startswith("$") for key in mapping) else mapping
     raise InvalidOption(
-        f"parameter {place or '/'} is a {type(value).__name__}, which no parameter server holds"
+        f"parameter {name or '/'} is a {type(value).__name__}, which no parameter server holds"
     )
 
 

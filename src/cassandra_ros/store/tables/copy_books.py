@@ -165,8 +165,8 @@ class CopyBooks:
         self, target: UUID, table: str, slot: int, node: str
     ) -> dict[tuple[int, int], datetime]:
         """Return the heartbeats of a slot, (bucket, writer) → what put_beat wrote, if not None."""
-        names, place = "bucket, writer, heartbeat", (target, table, node, slot)
-        rows = self._tables.select(_BEATS, names, _SLOT, place, what=_READING)
+        names, slot_key = "bucket, writer, heartbeat", (target, table, node, slot)
+        rows = self._tables.select(_BEATS, names, _SLOT, slot_key, what=_READING)
         return {(bucket, writer): beat for bucket, writer, beat in rows if beat is not None}
 
     def slots(self, target: UUID, table: str) -> list[tuple[int, str]]:
@@ -203,6 +203,6 @@ class CopyBooks:
 def _bucket(row: CqlRow) -> CopiedBucket:
     node, bucket, writer, there, heartbeat, seen, final, rule, *numbers, released = row
     rows, n, nbytes, t_max = (number or 0 for number in numbers)
-    place = (node, bucket, writer, there or "")
+    head = (node, bucket, writer, there or "")
     state = (heartbeat, seen or 0, bool(final), rule or "")
-    return CopiedBucket(*place, *state, rows, n, nbytes, t_max, bool(released))
+    return CopiedBucket(*head, *state, rows, n, nbytes, t_max, bool(released))

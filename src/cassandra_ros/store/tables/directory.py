@@ -202,7 +202,7 @@ class ActiveEntry(NamedTuple):
 
     As bytes: 1 if the counts are final; number of messages, bytes, size of the largest, first and
     last time, number of odd messages, as big-endian integers of eight bytes; then the names of the
-    filled shadow columns, with commas between them. ``bucket_columns`` reads some of them by place.
+    filled shadow columns, with commas between them. ``bucket_columns`` reads some of the bytes, too.
     """
 
     closed: bool
@@ -506,7 +506,7 @@ class Directory:
 
     def mark(
         self,
-        place: BucketKey,
+        key: BucketKey,
         ttl: int,
         filled: Iterable[str] = (),
         totals: BucketTotals | None = None,
@@ -525,7 +525,7 @@ class Directory:
                 It is a separate column because a living writer closes the bucket with its own
                 counts.
         """
-        columns, active = _key(place), _key(place)
+        columns, active = _key_columns(key), _key_columns(key)
         if deleted:
             columns["deleted"] = active["deleted"] = True
         else:
@@ -552,7 +552,7 @@ class Directory:
         and before its data rows are counted: the heartbeat of cr_bucket tells.
         """
         columns = {"filled": set(row.filled), **totals.columns()}
-        key = _key((table, row.node, row.bucket, row.writer))
+        key = _key_columns((table, row.node, row.bucket, row.writer))
         rest = (
             "deleted = false, heartbeat = toTimestamp(now()) "
             f"WHERE {' AND '.join(f'{name} = ?' for name in key)}"
@@ -584,7 +584,7 @@ class Directory:
             since_us: Server time before the row was read, us: what was marked later stays.
         """
         columns = {
-            **_key((table, row.node, row.bucket, row.writer)),
+            **_key_columns((table, row.node, row.bucket, row.writer)),
             "entry": ActiveEntry(not row.writing, row.counts, row.filled).encoded(),
             "deleted": row.cut,
             "heartbeat": row.heartbeat,
@@ -763,9 +763,9 @@ class BucketWalk:
         return [groups[key] for key in sorted(groups, reverse=self._reverse)], end
 
 
-def _key(place: BucketKey) -> dict[str, object]:
+def _key_columns(key: BucketKey) -> dict[str, object]:
     """Return the primary key of a row of cr_bucket: column → value."""
-    table, node, bucket, writer = place
+    table, node, bucket, writer = key
     slot = slot_of(bucket)
     return {"tbl": table, "node": node, "slot": slot, "bucket": bucket, "writer": writer}
 

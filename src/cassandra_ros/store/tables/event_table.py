@@ -56,7 +56,7 @@ class Event:
         return f"{self.start_ns}-{self.id}"
 
     def order(self) -> tuple[int, str, str, str]:
-        """Return the place of the event among all: its start, name, robot and id."""
+        """Return what events are sorted by: start, name, robot and id."""
         return self.start_ns, self.name, self.node, self.id
 
     @property

@@ -31,8 +31,8 @@ def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:
 
     It is 0 if the bucket has no rows, or if they do not expire.
     """
-    names, place = f"{KEYS}, {_LIFETIME}", table.partition_key(node, bucket)
-    rows = table.select_range(names, place, page_rows=_PAGE_ROWS).rows()
+    names, partition_key = f"{KEYS}, {_LIFETIME}", table.partition_key(node, bucket)
+    rows = table.select_range(names, partition_key, page_rows=_PAGE_ROWS).rows()
     return max((decode_long(values[2]) for values in rows), default=0)
 
 

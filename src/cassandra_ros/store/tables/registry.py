@@ -270,30 +270,30 @@ class Registry:
         The caller has written that entry. At last the entry of its own robot is deleted, so this
         can be repeated after an error.
         """
-        place, what = (run.writer, run.node), "giving a run another robot"
+        key, what = (run.writer, run.node), "giving a run another robot"
         for table, names in _OF_RUN.items():
             columns = ", ".join(names)
             where = "writer = ? AND node = ?"
-            for row in self._tables.select(table, columns, where, place, what=what):
+            for row in self._tables.select(table, columns, where, key, what=what):
                 values = {n: value for n, value in zip(names, row) if value is not None}
                 self._tables.insert(table, {"writer": run.writer, "node": node, **values}, what)
-        losses = [x for x in self.losses() if (x.writer, x.node) == place]
+        losses = [x for x in self.losses() if (x.writer, x.node) == key]
         for loss in losses:
             self.put_loss(replace(loss, node=node))
-        self.forget_run(*place, {loss.topic for loss in losses})
+        self.forget_run(*key, {loss.topic for loss in losses})
 
     def forget_run(self, writer: int, node: str, topics: Iterable[str]) -> None:
         """Delete a run whose messages were deleted, its context, and its losses of some topics.
 
         Its row of cr_run goes last, so that the run is still found after an error.
         """
-        what, place = "removing a run", [(writer, node)]
+        what, keys = "removing a run", [(writer, node)]
         if self._tables.has("cr_loss"):
             losses = [(topic, node, writer) for topic in topics]
             self._tables.delete("cr_loss", ("topic", "node", "writer"), losses, what)
         for table in ("cr_context", "cr_sent", "cr_run"):
             if self._tables.has(table):
-                self._tables.delete(table, ("writer", "node"), place, what)
+                self._tables.delete(table, ("writer", "node"), keys, what)
 
     def put_loss(self, loss: Loss) -> None:
         """Write a loss; it replaces one with the same topic, node, writer, kind and first_ns."""

@@ -67,8 +67,10 @@ _OLDER = "USING TIMESTAMP ? "
 _NEWEST = ' ORDER BY "_t" DESC, "_seq" DESC'
 _T = TypeVar("_T")
 
+PartitionKey = Tuple[bytes, bytes]
+"""Encoded partition key: the nodeID, and the bucket or the name of a message."""
 Order = Tuple[int, int]
-"""``_t`` and ``_seq`` of a row: its place in its partition."""
+"""``_t`` and ``_seq`` of a row: its key in its partition."""
 FIRST: Order = (-(2**63), MIN_SEQ)
 """An Order before those of all rows."""
 LAST: Order = (2**63 - 1, MAX_SEQ)
@@ -224,12 +226,12 @@ class RowTable:
         """Return the bucket of a key time."""
         return t_ns // self.bucket_ns
 
-    def partition_key(self, node: str, where: int | str) -> tuple[bytes, bytes]:
+    def partition_key(self, node: str, where: int | str) -> PartitionKey:
         """Encode the partition key of a bucket, or of the rows with a name; ``where`` is either."""
         key = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
         return node.encode("utf-8"), key
 
-    def partition_key_of(self, node: str, t_ns: int, name: str) -> tuple[bytes, bytes]:
+    def partition_key_of(self, node: str, t_ns: int, name: str) -> PartitionKey:
         """Encode the partition key of a row."""
         return self.partition_key(node, name if self.named else self.bucket_of(t_ns))
 
@@ -239,8 +241,8 @@ class RowTable:
 
     def key_of(self, row: TableRow) -> tuple[bytes, ...]:
         """Encode the primary key of a stored row."""
-        place = self.partition_key_of(row.node, row.t, row.name)
-        return (*place, *map(encode_long, self.stored_order(row.t, row.seq)))
+        partition_key = self.partition_key_of(row.node, row.t, row.name)
+        return (*partition_key, *map(encode_long, self.stored_order(row.t, row.seq)))
 
     def shadows(self) -> Shadows | None:
         """Return the columns of the indexes for a bucket that is opened now; None = no index."""
@@ -401,7 +403,7 @@ class RowTable:
     def select_range(
         self,
         names: str,
-        place: tuple[bytes, bytes],
+        partition_key: PartitionKey,
         ends: tuple[Order, Order] = ALL,
         *,
         terms: Terms = (),
@@ -418,7 +420,6 @@ class RowTable:
         Args:
             names: Columns to read, as CQL; must begin with KEYS if there may be several pages,
                 because a read whose later page fails goes on after the key of the last row.
-            place: Partition key, encoded.
             ends: First and last key, both included.
             terms: Conditions that the server checks.
             page_rows: Maximum number of rows in a page; None = the driver's own.
@@ -432,20 +433,21 @@ class RowTable:
 
         def rest(read: RawRow | None) -> BoundStatement:
             bounds = _encode_ends(ends, read or last, reverse)
-            return bind(statement, (*place, *bounds, *values), page_rows)
+            return bind(statement, (*partition_key, *bounds, *values), page_rows)
 
         return self._start(rest, what, refused, on_page, first_rows)
 
-    def ask_row(self, place: tuple[bytes, bytes], t: int, seq: int | None) -> PagedRead:
+    def ask_row(self, partition_key: PartitionKey, t: int, seq: int | None) -> PagedRead:
         """Request a whole row; seq None = the first one with this time.
 
         A server finds a row by equal keys 60 us sooner than by a range that holds one key.
         """
         if seq is None:
             statement = self._select(self._whole_listing, 'AND "_t" = ?')
-            return self.send(bind(statement, (*place, encode_long(t)), 1))
+            return self.send(bind(statement, (*partition_key, encode_long(t)), 1))
         statement = self._select(self._whole_listing, _ROW)
-        return self.send(bind(statement, (*place, encode_long(t), encode_long(seq))))
+        values = (*partition_key, encode_long(t), encode_long(seq))
+        return self.send(bind(statement, values))
 
     def send(self, statement: Statement, what: str = "reading") -> PagedRead:
         """Send a statement whose answer is one page, or of which only the first page is needed.
