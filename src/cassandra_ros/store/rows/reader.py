@@ -133,9 +133,10 @@ class BucketPlan(NamedTuple):
     node: str
     bucket: int
     rows: Sequence[BucketRow]
-    """Rows of its writers in the directory; empty = no bucket, but how far the
-    directory was read."""
+    """Rows of its writers in the directory; empty = there is no bucket, and the entry only tells
+    how far the directory was read."""
     page_rows: int = 0
+    """Maximum number of rows in a page."""
     page_bytes: int = 0
     """Approximate maximum size of its messages in memory, bytes."""
     first_rows: int = 0

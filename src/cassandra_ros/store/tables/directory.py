@@ -202,7 +202,7 @@ class ActiveEntry(NamedTuple):
 
     As bytes: 1 if the counts are final; number of messages, bytes, size of the largest, first and
     last time, number of odd messages, as big-endian integers of eight bytes; then the names of the
-    filled shadow columns, with commas between them. ``bucket_columns`` reads some of the bytes, too.
+    filled shadow columns, with commas between them. ``bucket_columns`` reads these bytes, too.
     """
 
     closed: bool
