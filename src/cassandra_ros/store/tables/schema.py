@@ -281,7 +281,7 @@ class Schema:
         return [row for answer in rows for row in answer]
 
     def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
-        """Read the tables of a topic that are read, name → metadata; the caller has the lock.
+        """Return the tables of a topic that readers see, read anew; the caller holds the lock.
 
         Raises:
             TopicNotFound: The topic was removed.
