@@ -217,7 +217,8 @@ def test_options_of_a_writer(rosCas):
 
     refused(writer("writer_id"), (0, -1, 2**31, "1", b"1", 1.5, True), InvalidKey, "writer_id=")
     for name in ("linger_sec", "give_up_after_sec"):
-        refused(writer(name), (None, "1", -1, float("nan"), True, 10**400), InvalidOption, f"{name}=")
+        unfit = (None, "1", -1, float("nan"), True, 10**400)
+        refused(writer(name), unfit, InvalidOption, f"{name}=")
     refused(writer("run"), (5, "run"), InvalidOption, "run=")
     refused(writer("format"), (5, 0, "Ros"), UnknownFormat, "format")
     refused(writer("ttl"), (-1, None, "5"), InvalidOption, "ttl=")

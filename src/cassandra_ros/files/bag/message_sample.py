@@ -37,8 +37,16 @@ class MessageSample:
         return SECOND_NS / middle if middle else None
 
 
-def read_sample(topic: CassandraTopic, most: int, node: str | None, run: RunName) -> MessageSample:
-    """Return a sample of the first messages of a topic, at most ``most``; only keys are read."""
+def read_samples(
+    topic: CassandraTopic, most: int, node: str | None, run: RunName
+) -> dict[str, MessageSample]:
+    """Return a sample for each table of a topic that the first messages are in, by its name.
+
+    Args:
+        most: Maximum number of messages of the topic; only their keys are read.
+        node: nodeID of the robot; None = all.
+        run: The run; None = all.
+    """
     samples: dict[str, MessageSample] = {}
     for row in topic.rows(nodeID=node, run=run, limit=most, columns=lambda table: ()):
         sample = samples.setdefault(row.table.name, MessageSample())
@@ -46,7 +54,7 @@ def read_sample(topic: CassandraTopic, most: int, node: str | None, run: RunName
         key = (row.table.name, row.conn)
         if key not in sample.connection_of:  # row.connection may ask the store
             sample.connection_of[key] = row.connection
-    return join_samples(samples.values())
+    return samples
 
 
 def join_samples(samples: Iterable[MessageSample]) -> MessageSample:

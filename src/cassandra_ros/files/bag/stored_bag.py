@@ -36,7 +36,7 @@ from cassandra_ros.errors import BagError, BagNotFound, InvalidOption, RunNotFou
 from cassandra_ros.files.bag.file_formats import runs_of_content
 from cassandra_ros.files.bag.format import COMPRESSIONS
 from cassandra_ros.files.bag.identity import describe_same_name, runs_meant, runs_of_file, source_of
-from cassandra_ros.files.bag.message_sample import MessageSample, join_samples, read_sample
+from cassandra_ros.files.bag.message_sample import MessageSample, join_samples, read_samples
 from cassandra_ros.files.bag.summary import Summary, TopicSummary
 from cassandra_ros.keys import MAX_NS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.classes import installed_definition, serialize
@@ -245,7 +245,7 @@ class RunContents:
 
     def sample(self, topic: CassandraTopic) -> MessageSample:
         """Return what the first MOST_STAMPS messages of a topic tell of its rate and publishers."""
-        return read_sample(topic, MOST_STAMPS, self._node, self._run)
+        return join_samples(read_samples(topic, MOST_STAMPS, self._node, self._run).values())
 
     def counts(self) -> Counter[str]:
         """Return the number of messages by topic, for topics that have any."""
