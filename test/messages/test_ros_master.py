@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+import http.server
 import socket
 import threading
 from xmlrpc.server import SimpleXMLRPCServer
@@ -10,8 +11,9 @@ import pytest
 import rosgraph
 from conftest import NO_MASTER
 
+from cassandra_ros.errors import ConnectionFailed
 from cassandra_ros.messages import ros_master
-from cassandra_ros.messages.ros_master import topic_type
+from cassandra_ros.messages.ros_master import set_parameters, topic_type
 
 
 @pytest.fixture
@@ -46,6 +48,29 @@ def test_type_that_the_master_knows(master, patient):
 def test_nonsense_leaves_the_type_open(master, answer):
     master.append(answer)
     assert topic_type("/chatter") is None
+
+
+def test_another_server_at_its_address_leaves_the_type_open(monkeypatch):
+    class Page(http.server.BaseHTTPRequestHandler):
+        def do_POST(self):
+            self.rfile.read(int(self.headers["Content-Length"]))
+            self.send_response(200)
+            self.send_header("Content-Type", "text/xml")
+            self.end_headers()
+            self.wfile.write(b"welcome")
+
+        def log_message(self, *arguments):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
+        thread.start()
+        monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{server.server_port}")
+        assert topic_type("/chatter") is None
+        with pytest.raises(ConnectionFailed, match="no ROS master at http"):
+            set_parameters([("/a", 1)])
+        server.shutdown()
+        thread.join()
 
 
 def test_no_master_leaves_the_type_open(monkeypatch):

@@ -23,6 +23,15 @@ SILENT_SEC = 0.2
 PARAMETER_TIMEOUT_SEC = 10.0
 """Time limit of setting a parameter, s."""
 
+_NO_ANSWER = (
+    OSError,
+    socket.timeout,
+    xmlrpc.client.Error,
+    http.client.HTTPException,
+    ExpatError,
+)
+"""Errors of a call that no ROS master answers; the last ones if something else answers."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -75,7 +84,7 @@ def master_answers() -> bool:
     """Return whether a ROS master answers within TIMEOUT_SEC."""
     try:
         master_proxy().getPid("/cassandra_ros")
-    except (OSError, xmlrpc.client.Error, http.client.HTTPException, ExpatError) as exc:
+    except _NO_ANSWER as exc:
         _log.info("no ROS master at %s: %s", rosgraph.get_master_uri(), exc)
         return False
     return True
@@ -92,7 +101,7 @@ def topic_type(topic: str) -> str | None:
     try:
         code, status, pairs = master_proxy().getTopicTypes("/cassandra_ros")
         types = {str(key): str(value) for key, value in pairs}
-    except (OSError, socket.timeout, xmlrpc.client.Error, http.client.HTTPException) as exc:
+    except _NO_ANSWER as exc:
         _log.info("no ROS master at %s (%s): type of %s left open", uri, exc, name)
         return None
     except (TypeError, ValueError) as exc:
@@ -120,7 +129,7 @@ def set_parameters(parameters: Iterable[tuple[str, object]]) -> int:
             if code != 1:
                 raise ConnectionFailed(f"the ROS master at {uri} refuses to set {name}: {status}")
             count += 1
-    except (OSError, socket.timeout, xmlrpc.client.Error, http.client.HTTPException) as exc:
+    except _NO_ANSWER as exc:
         raise ConnectionFailed(
             f"no ROS master at {uri} takes parameters ({exc}): start roscore, or set "
             f"ROS_MASTER_URI; {count} parameters were set"

@@ -208,13 +208,15 @@ class SpoolFolder:
     def runs(self) -> list[Path]:
         """Return the folders of all runs, also of those that are recorded now; oldest first.
 
-        Return [] if one of them cannot be read, as when another process deletes it meanwhile.
+        One that another process deletes meanwhile is left out.
         """
-        try:
-            folders = [folder for folder in self.path.iterdir() if folder.name.isdigit()]
-            return sorted(folders, key=lambda path: path.stat().st_ctime)
-        except OSError:
-            return []
+        by_age: list[tuple[float, Path]] = []
+        with suppress(OSError):
+            for folder in self.path.iterdir():
+                with suppress(OSError):
+                    if folder.name.isdigit():
+                        by_age.append((folder.stat().st_ctime, folder))
+        return [folder for _, folder in sorted(by_age)]
 
     def nbytes(self) -> int:
         """Return the size of all files in it, bytes."""

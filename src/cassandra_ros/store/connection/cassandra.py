@@ -672,6 +672,11 @@ class Cassandra:
         """Return the number of nodes that the driver knows, up or down, in all data centres."""
         return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
 
+    def local_nodes(self) -> int:
+        """Return the number of nodes that the driver knows, up or down, in its own data centre."""
+        local, hosts = self.local_datacenter(), self._cluster.metadata.all_hosts()
+        return max(1, sum(1 for host in hosts if host.datacenter == local))
+
     def expect_nodes(self, count: int) -> None:
         """Let require_nodes refuse to make a keyspace before the driver knows ``count`` nodes."""
         self._expected_nodes = count

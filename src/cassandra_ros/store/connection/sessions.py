@@ -106,7 +106,12 @@ class Links:
             self._making = True
         why = f"has answered nothing for {silent_sec:.0f} s" if silent else "was shut down"
         name, args = "cassandra_ros-session", (link, why)
-        threading.Thread(target=self._replace, args=args, name=name, daemon=True).start()
+        try:
+            threading.Thread(target=self._replace, args=args, name=name, daemon=True).start()
+        except RuntimeError as exc:  # no more threads: the next failed request tries again
+            _log.warning("the connection %s, and no thread can replace it now: %s", why, exc)
+            with self._changed:
+                self._making = False
 
     def await_open(self, seconds: float) -> Link:
         """Return the link; if it has ended, wait up to ``seconds`` for a new one.

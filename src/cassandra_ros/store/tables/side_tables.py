@@ -405,10 +405,13 @@ class SideTables:
             raise KeyspaceNotFound(absence)
 
     def make_keyspace(self) -> None:
-        """Make the keyspace with min(3, nodes) copies; warn if an existing one has fewer."""
+        """Make the keyspace with min(3, nodes) copies; warn if an existing one has fewer.
+
+        The copies lie in one data centre, so its nodes count.
+        """
         if self._keyspace_made:
             return
-        factor = min(3, self._cassandra.live_nodes())
+        factor = min(3, self._cassandra.local_nodes())
         rows = self._cassandra.system_schema("keyspaces", "replication", self.keyspace)
         if rows:
             _warn_of_factor(self.keyspace, rows[0][0], factor)
