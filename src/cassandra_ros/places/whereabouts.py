@@ -279,7 +279,7 @@ class Coverage:
 def is_valid(record: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> bool:
     """Return whether an index record is still valid for a robot.
 
-    It is if the visits in the robot's frame are in the index, or if there are none because the
+    It is if the visits in the robot's frame are in the index, or if it has none because the
     frame did not exist; and if the frames above the robot are fixed as when it was made.
 
     Args:

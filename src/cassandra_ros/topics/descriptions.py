@@ -68,7 +68,7 @@ def topic_html(name: str, directory: Directory, tables: Sequence[TopicTable]) ->
 
 
 def _time(ns: int | None) -> str:
-    """Return a time as text; '' = there is none."""
+    """Return a time as text; '' = no time."""
     return "" if ns is None else iso_time(ns)
 
 

@@ -183,7 +183,7 @@ class Finder:
         return is_ours(key) and self.whose.has(key)
 
     def _near(self, key: AnyKey, nearest: str) -> StoredRow | None:
-        """Return the row nearest to a time, one of NEAREST; None if there is none on that side."""
+        """Return the row nearest to a time, one of NEAREST; None if no row is on that side."""
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is not one of {', '.join(NEAREST)}")
         read = self.one(key)

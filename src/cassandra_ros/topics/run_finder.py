@@ -72,7 +72,7 @@ class Runs:
         return runs
 
     def _matches(self, run: RunName) -> list[Run]:
-        """Return the runs that are meant, the newest first; an empty list if there are none.
+        """Return the runs that are meant, the newest first; empty if no run is meant.
 
         They are found by name, else by writer id, else by file, else by its folder. '' is no name.
         """

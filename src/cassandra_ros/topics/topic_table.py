@@ -410,7 +410,7 @@ class IndexColumns:
         return fields
 
     def shadows(self, indexes: Mapping[str, str]) -> Shadows | None:
-        """Return the columns of these indexes, with that of the digest; None if there is none."""
+        """Return the columns of these indexes, with that of the digest; None if no one is left."""
         values: dict[str, _Value] = {i.shadow: i.value for i in self.fields(indexes).values()}
         if self._digest is not None:
             values[indexes[self._digest.field]] = partial(_digest_of, self._digest)

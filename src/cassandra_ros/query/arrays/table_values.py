@@ -117,9 +117,9 @@ class TableValues:
     def renew(self) -> None:
         """Discard the gathered values."""
         self._chunks: list[list[ColumnArray]] = [[] for _ in self._outputs]
-        """Of each output the values of each batch."""
+        """The values of each batch, for each output."""
         self._orders: list[AnyArray] = []
-        """Of each batch the numbers of the rows that its values come from."""
+        """The numbers of the rows that the values come from, for each batch."""
         self.block_keys: list[MessageBlock] = []
         self._clear()
 

@@ -307,7 +307,7 @@ class Headers:
         self._last_row: RawRow | None = None
 
     def take_early(self) -> PagedRead | None:
-        """Return, at the first call, the read of the first whole blocks; None = there is none."""
+        """Return, at the first call, the read of the first whole blocks; None = it was not sent."""
         early, self._early = self._early, None
         return early
 

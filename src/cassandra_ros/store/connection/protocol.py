@@ -499,7 +499,7 @@ def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[BufferedCo
 
 
 def _addresses_of(name: str) -> set[object]:
-    """Return the IP addresses of a host; empty if there are none."""
+    """Return the IP addresses of a host; empty if it has no address."""
     try:
         return {info[4][0] for info in socket.getaddrinfo(name, None)}
     except (OSError, UnicodeError):  # maybe a host that we never connect to

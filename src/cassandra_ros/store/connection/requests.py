@@ -235,7 +235,7 @@ class PagedRead:
 
     @property
     def last(self) -> RawRow | None:
-        """Last row of the pages that ``pages`` has yielded; None = there is none."""
+        """Last row of the pages that ``pages`` has yielded; None = no row."""
         if self._last_page:  # not earlier: the page may not be cut into rows yet
             self._last, self._last_page = self._last_page[-1], ()
         return self._last

@@ -106,7 +106,7 @@ class BucketRow(NamedTuple):
     closed: bool
     """Whether the counts are final."""
     heartbeat: datetime | None
-    """Server time of the last mark; None = there is none."""
+    """Server time of the last mark; None = no mark yet."""
     rows: int
     """Number of messages, of blocks too."""
     bytes: int
