@@ -38,7 +38,7 @@ def read_time(option: str, text: str | None) -> Stamp | None:
 
 
 def check_times(options: argparse.Namespace, catalogs: Iterable[Catalog]) -> None:
-    """Warn on stderr of times that lie far outside of the stored messages; not if nothing is stored.
+    """Warn on stderr of times that lie far outside of the stored messages, if any.
 
     Args:
         options: The parsed options. ``time_options``, which a parser sets as a default, lists those

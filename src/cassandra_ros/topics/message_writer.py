@@ -282,7 +282,7 @@ class MessageWriter:
     def _shared_table(self, connection: Connection, new: TopicMetadata) -> TopicTable | None:
         """Return the table for several types that already has messages of this connection.
 
-        None if there is no table, or if the connection has an md5sum: then its kind finds the table.
+        None if no table has, or if the connection has an md5sum: then its kind finds the table.
         """
         if new.md5sum != ANY_MD5:
             return None
