@@ -247,7 +247,7 @@ def test_verify_content_with_mapped_topics(call, rosCas, tmp_path):
     assert call("verify", path)[0] == 1
     status, _, err = call("verify", path, *mapped)
     assert status == 2
-    assert "--map and --event go with --content" in err
+    assert "--map goes with --content" in err
     assert call("verify", "--content", path, "--map", "nothing")[0] == 2
 
 

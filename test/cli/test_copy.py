@@ -107,7 +107,7 @@ def test_a_refused_topic_is_told_and_the_others_are_copied(call, filled, place, 
         (["copy", "--to", "a:99999"], "is not a port"),
         (["verify"], "give FILE.bag, or --with another store"),
         (["verify", "x.bag", "--repair"], "--repair goes with --with"),
-        (["verify", "--with", "127.0.0.1", "--content"], "go with FILE.bag"),
+        (["verify", "--with", "127.0.0.1", "--content"], "--content goes with FILE.bag"),
     ],
 )
 def test_wrong_usage_is_told(call, words, text):

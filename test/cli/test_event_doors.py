@@ -103,9 +103,17 @@ def test_every_door_means_the_same_messages(store, call, tmp_path):
     assert call("export", bag, "--topics", "/n", "--event", "bump", "-q")[0] == 0
     with rosbag.Bag(str(bag)) as written:
         assert set(told(m.data for _, m, _ in written.read_messages())) == BUMPS
-    verify = ("verify", bag, "--content", "--topics", "/n")
-    assert call(*verify, "--event", "bump")[0] == 0
-    assert call(*verify, "--event", "door")[0] == 1
+    for verify in (("verify", bag), ("verify", bag, "--content")):
+        assert call(*verify, "--topics", "/n", "--event", "bump")[0] == 0
+        assert call(*verify, "--topics", "/n", "--event", "door")[0] == 1
+    status, out, _ = call("verify", bag)
+    assert (status, "of an exported part compare that part: --start T" in out) == (1, True)
+    near, around = tmp_path / "near.bag", ("--around", "/n: data = 20", "--before", "2s")
+    assert call("export", near, *around, "--after", "1", "-q")[0] == 0
+    for verify in (("verify", near), ("verify", near, "--content")):
+        assert call(*verify, *around, "--after", "1")[0] == 0
+        assert call(*verify, *around, "--after", "3")[0] == 1
+    assert call("verify", near, *around, "--event", "bump")[0] == 2
 
     played = PlayStream(PlayedKeyspace(store.catalog), PlaySelection(["/n"], event="bump"))
     assert set(told(each.row.message().data for each in played.messages())) == BUMPS

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.messages.stamps import Stamp
-    from cassandra_ros.topics.event_finder import EventRule
+    from cassandra_ros.topics.event_finder import AroundRule, EventRule
 
 _Value = TypeVar("_Value")
 
@@ -440,6 +440,21 @@ def read_event(options: argparse.Namespace) -> EventRule:
         also = " or --around" if hasattr(options, "around") else ""
         options.parser.error(f"--before and --after go with --event{also}")
     return None
+
+
+def add_around_option(parser: argparse._ActionsContainer, what: str) -> None:
+    """Add --around; ``what``: its help text."""
+    parser.add_argument("--around", metavar="'TOPIC: CONDITION'", help=what)
+
+
+def read_around(options: argparse.Namespace) -> AroundRule:
+    """Return what --around, --before and --after choose; None = --around is missing."""
+    if options.around is None:
+        return None
+    if options.event is not None:
+        options.parser.error("--around and --event choose times: give one of them")
+    before, after = options.before, options.after
+    return options.around, 5.0 if before is None else before, 10.0 if after is None else after
 
 
 def add_origin_options(parser: argparse.ArgumentParser) -> None:

@@ -30,14 +30,20 @@ from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.messages.ros_master import topic_type
-from cassandra_ros.messages.stamps import Time
+from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.tables.directory import STALE_SEC
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.event_finder import EventChoice, EventRule, WindowRule, merge_windows
+from cassandra_ros.topics.event_finder import (
+    AroundRule,
+    EventChoice,
+    EventRule,
+    WindowRule,
+    merge_windows,
+)
 from cassandra_ros.topics.event_times import Reads
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace
@@ -340,19 +346,29 @@ class Catalog:
         to_key: Time | None,
         whose: Whose,
         event: EventRule = None,
+        around: AroundRule = None,
     ) -> Reads:
-        """Return the reads of some topics between two times; with ``event`` during these events.
+        """Return the reads of some topics between two times.
+
+        With ``event`` during these events, with ``around`` around these messages.
 
         Raises:
             EventNotFound: There is no such event of that time, robot and run.
-            InvalidName, InvalidKey, InvalidOption: The event, or a time, is not valid.
+            MessageNotFound, TopicNotFound, InvalidQuery: See _reads_around.
+            InvalidName, InvalidKey, InvalidOption: The event, or a time, is not valid, or both
+                event and around are given.
         """
         whole, choice = self.read_of(topics, key, to_key, whose), EventChoice.of(event)
+        rule = None if around is None else WindowRule.of(around[0], *map(duration_ns, around[1:]))
+        if choice is not None and around is not None:
+            raise InvalidOption("an event and around were given: give one of them")
+        if rule is not None:
+            return self._reads_around(whole, rule)
         if choice is None:
             return Reads(whole, [whole])
         return Reads(whole, self.keyspace.events.chosen(choice, whole).reads(whole))
 
-    def reads_around(self, whole: Read, rule: WindowRule) -> Reads:
+    def _reads_around(self, whole: Read, rule: WindowRule) -> Reads:
         """Return the reads around the messages that satisfy a rule, by receive time.
 
         Raises:

@@ -39,9 +39,11 @@ from cassandra_ros.cli.fleet_options import (
 )
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
+    add_around_option,
     add_message_options,
     add_store_options,
     open_store,
+    read_around,
     read_event,
     read_times,
     read_where,
@@ -54,7 +56,6 @@ from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.files.bag.exporter import ExportReport
-    from cassandra_ros.topics.event_finder import AroundRule
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "only messages from 5 s before to 10 s after those of TOPIC that satisfy CONDITION, or "
         "from --before to --after (default: of all time)"
     )
-    add("--around", metavar="'TOPIC: CONDITION'", help=text)
+    add_around_option(parser, text)
     add(
         "--no-latched",
         dest="latched",
@@ -114,7 +115,9 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.files.bag.exporter import export_bag
 
     where, (start, end) = read_where(options), read_times(options)
-    event, around = read_event(options), _around(options)
+    event, around = read_event(options), read_around(options)
+    if around is not None and (options.parquet or options.stores):
+        options.parser.error("--around is for a bag or an MCAP of one store")
     path, begun = _path(options), time.monotonic()
     if options.parquet:
         return write_folder(options, path)
@@ -141,18 +144,6 @@ def run(options: argparse.Namespace) -> int:
         )
     _tell(options, report, begun)
     return 0
-
-
-def _around(options: argparse.Namespace) -> AroundRule:
-    """Return what --around, --before and --after choose; None = --around is missing."""
-    if options.around is None:
-        return None
-    if options.event is not None:
-        options.parser.error("--around and --event choose times: give one of them")
-    if options.parquet or options.stores:
-        options.parser.error("--around is for a bag or an MCAP of one store")
-    before, after = options.before, options.after
-    return options.around, 5.0 if before is None else before, 10.0 if after is None else after
 
 
 def _tell(options: argparse.Namespace, report: ExportReport, begun: float) -> None:

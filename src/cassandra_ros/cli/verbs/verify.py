@@ -15,7 +15,8 @@ are compared together, and a line says so.
 
 With --start and --end only messages of that time range are compared: so a time range that was
 exported is equal to its file. A range without any message in both is an error. Times are seconds
-(1368021980.25), ISO 8601 or nanoseconds (13 digits or more).
+(1368021980.25), ISO 8601 or nanoseconds (13 digits or more). A file that export has written with
+--event or --around is compared with the same options.
 
 With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
 a recording of a bag that was played: its times and connections differ from the bag. --start and
@@ -41,12 +42,14 @@ from typing import TYPE_CHECKING
 from cassandra_ros.cli.fleet_options import add_target_options, open_target
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
+    add_around_option,
     add_event_options,
     add_large_chunks_option,
     add_origin_options,
     add_store_options,
     add_time_options,
     open_store,
+    read_around,
     read_event,
     read_pair,
     read_pairs,
@@ -94,7 +97,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=Rare("with --content: topic FROM of the bag was recorded as TO; may be repeated"),
     )
     add_time_options(parser)
-    add_event_options(parser, "with --content: ")
+    add_event_options(parser)
+    text = "compare what export --around has written, as there (default: all times)"
+    add_around_option(parser, text)
     add("--repair", action="store_true", help="with --with: copy what differs again")
     add("-q", "--quiet", action="store_true", help="print differences only")
     add_json_option(parser)
@@ -112,8 +117,8 @@ def run(options: argparse.Namespace) -> int:
         return _compare_stores(options)
     if options.repair:
         options.parser.error("--repair goes with --with")
-    if not options.content and (options.map or options.event):
-        options.parser.error("--map and --event go with --content")
+    if options.map and not options.content:
+        options.parser.error("--map goes with --content")
     report = _compare(options)
     if options.json:
         print_json({"keyspace": options.keyspace, "equal": report.equal, **vars(report)})
@@ -141,6 +146,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.files.bag.message_file import topics_of
 
     (start, end), event = read_times(options), read_event(options)
+    around = read_around(options)
     mapping = read_pairs(options, "--map", options.map)
     with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:
         count = reader.message_count
@@ -161,6 +167,8 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
                 options.allow_large_chunks,
                 start,
                 end,
+                event,
+                around,
             )
         return verify_content(
             ros_cas,
@@ -175,6 +183,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             salvage=options.salvage,
             large_chunks=options.allow_large_chunks,
             event=event,
+            around=around,
         )
 
 
@@ -182,8 +191,10 @@ def _compare_stores(options: argparse.Namespace) -> int:
     """Compare with the store of --with, and print the buckets that differ; return the status."""
     from cassandra_ros.stores.copying.replicator import Replicator
 
-    if options.content or options.map or options.start or options.end or options.event:
-        options.parser.error("--content, --map, --start, --end and --event go with FILE.bag")
+    of_files = ("content", "map", "start", "end", "event", "around")
+    given = [name for name in of_files if getattr(options, name)]
+    if given:
+        options.parser.error(f"--{given[0]} goes with FILE.bag")
     with open_store(options) as ros_cas, open_target(options, make=False) as other:
         names = {topic.name for topic in ros_cas.catalog.all(None)}
         topics = topics_among(options, names, f"keyspace {options.keyspace}")
@@ -236,5 +247,5 @@ def _print_differences(report: VerifyReport) -> None:
     if not report.missing:
         print(
             "the file has nothing that is not stored; of an exported part compare that part: "
-            "--start T --end T, --run NAME, --node-id N"
+            "--start T --end T, --event NAME, --around 'TOPIC: CONDITION', --run NAME, --node-id N"
         )

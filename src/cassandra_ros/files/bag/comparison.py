@@ -29,7 +29,8 @@ from cassandra_ros.messages.stamps import Time, iso_time, to_ns
 from cassandra_ros.read import Read, TimeRange, Whose, Writers
 from cassandra_ros.store.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.event_finder import EventRule
+from cassandra_ros.topics.event_finder import AroundRule, EventRule
+from cassandra_ros.topics.event_times import Reads
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -98,6 +99,8 @@ def verify_bag(
     large_chunks: bool = False,
     start: Time | None = None,
     end: Time | None = None,
+    event: EventRule = None,
+    around: AroundRule = None,
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
@@ -124,8 +127,11 @@ def verify_bag(
         start: First receive time, included (genpy.Time, int ns, float s, text): earlier messages of
             the bag and of the store are not compared; None = open.
         end: Last receive time, included; None = open.
+        event, around: As in export_bag: compare all messages of the bag with the stored ones of
+            these times.
 
     Raises:
+        EventNotFound, InvalidOption, InvalidQuery: As in export_bag.
         BagError: The bag cannot be read to its end.
         TopicNotFound: The bag has no such topic.
         RunNotFound: The store has no such run.
@@ -172,7 +178,10 @@ def verify_bag(
         if own_import is not None:
             origin = Whose.of(own_import.node, frozenset([own_import.writer]))
             times = TimeRange(max(times.low, reader.start_ns), min(times.high, reader.end_ns))
-        rows = catalog.read(stored, Read(times, origin), received=True)
+        reads = Reads(Read(times, origin), [Read(times, origin)])
+        if event is not None or around is not None:
+            reads = catalog.reads_of(sorted(stored), start, end, origin, event, around)
+        rows = catalog.read_parts(stored, reads, received=True)
         # The rows of an import hold their positions in the bag, so a missing row shifts no other.
         order = _BY_CONNECTION if own_import is None else _BY_POSITION
         comparison = Comparison(_in_order(rows, ranks), report, order)
@@ -207,6 +216,7 @@ def verify_content(
     salvage: bool = False,
     large_chunks: bool = False,
     event: EventRule = None,
+    around: AroundRule = None,
 ) -> VerifyReport:
     """Compare the messages of each topic in their order, by type, md5sum and bytes only.
 
@@ -229,6 +239,7 @@ def verify_content(
         run: Name or writer id of the recording or import to compare with; None = all.
         salvage, large_chunks: As in verify_bag.
         event: Only stored messages of a robot during its events, as in readMessages.
+        around: Only stored messages around others, as in export_bag.
 
     Raises:
         EventNotFound: There is no such event.
@@ -241,7 +252,7 @@ def verify_content(
         numbers = connections_of_topics(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
         from_start = start is not None and to_ns(start) <= reader.start_ns
-        if from_start or event is not None:
+        if from_start or event is not None or around is not None:
             numbers -= _leave_out(reader, numbers, report, TimeRange())
         ranks = _Ranks((), positions=False)
         bag_topics = {reader.connections[n].topic for n in numbers}
@@ -250,7 +261,8 @@ def verify_content(
         for topic in bag_topics:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
-            reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, writers), event)
+            origin = catalog.whose(nodeID, writers)
+            reads = catalog.reads_of(names, start, end, origin, event, around)
             rows = catalog.read_parts(names, reads, received=True)
             comparisons[topic] = Comparison(map(ranks.entry_of, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)

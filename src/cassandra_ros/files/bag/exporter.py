@@ -11,19 +11,19 @@ from itertools import chain, islice
 from typing import Iterable, Iterator, Mapping, Sequence, Union
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.errors import BagError, InvalidOption, MessageNotFound
+from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.files.bag.file_formats import make_file
 from cassandra_ros.files.bag.file_writer import FileWriter
 from cassandra_ros.files.bag.message_file import MessageProgress
 from cassandra_ros.files.bag.publish_times import PublishTimeFinder
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.messages.stamps import Time, duration_ns, iso_time
+from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.read import LAST_NS, Nodes, TimeRange, Whose
 from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.stores.fleet.fleet_row import FleetRow
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.event_finder import AroundRule, EventRule, WindowRule
+from cassandra_ros.topics.event_finder import AroundRule, EventRule
 from cassandra_ros.topics.event_times import Reads
 from cassandra_ros.topics.overview.latched_messages import LatchedFinder, LatchedRecord, tests_of
 from cassandra_ros.topics.row_finder import Filter
@@ -125,12 +125,7 @@ def export_bag(
     # The caller may have named one topic in two spellings.
     catalog = ros_cas.catalog
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
-    reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, run), event)
-    if around is not None:
-        if event is not None:
-            raise InvalidOption("an event and around were given: give one of them")
-        rule = WindowRule.of(around[0], *map(duration_ns, around[1:]))
-        reads = reads if rule is None else catalog.reads_around(reads.whole, rule)
+    reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, run), event, around)
     has_start = start is not None or event is not None or around is not None
     rows = _find_rows(catalog, names, reads, where, latched and has_start)
     report = ExportReport(os.fspath(path))
