@@ -37,7 +37,8 @@ def test_an_event_from_its_addition_to_its_deletion(rosCas, call):
     status, out, err = call("event", "delete", "door open")
     assert status == 1 and "confirm it with --yes" in err
     assert call("event", "delete", "door open", "-y") == (0, "1 event is deleted\n", "")
-    assert call("event", "list") == (0, "there is no such event\n", "")
+    assert call("event", "list") == (0, "no event is stored\n", "")
+    assert call("event", "list", "bump") == (0, "there is no such event\n", "")
 
 
 def test_events_are_chosen_by_pattern_time_and_robot(rosCas, call):

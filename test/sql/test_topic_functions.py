@@ -257,6 +257,7 @@ REFUSED = {
     "SELECT rate(v, every := '1s') FROM one": "rate takes a column",
     "SELECT rate(v, gap := 'soon') FROM one": "soon",
     "SELECT KEY FROM one WHERE rate(v) > 1": "WHERE clause cannot contain window",
+    "SELECT max(rate(v)) FROM one": "select it in a table in FROM",
     "SELECT rate(a.v) FROM one a, one b": "mbiguous",
     "SELECT rate(vv) FROM one": "no column vv",
     "WITH rate(a) AS (SELECT 1) SELECT a FROM rate": "rate takes a column",

@@ -168,7 +168,9 @@ def _list(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
         print_json([_facts(event) for event in events])
         return 0
     rows = list(map(_row, events))
-    print(format_table(_HEADER, rows) if rows else "there is no such event")
+    choices = (options.event, options.start, options.end, options.node_id, options.run)
+    none = "no event is stored" if not any(choices) else "there is no such event"
+    print(format_table(_HEADER, rows) if rows else none)
     return 0
 
 
