@@ -419,7 +419,7 @@ class _Run:
                 "; a time is a text in UTC, '2013-05-08 14:06:20.238582676', or of a number "
                 "make_timestamp_ns(NANOSECONDS)"
             )
-        if "cannot contain window function" in reason and statement.calls("rate"):
+        if "calls cannot contain window function" in reason and statement.calls("rate"):
             reason = (
                 "rate(…) is a value of each message: select it in a table in FROM, and take the "
                 "minimum, mean, … of that: SELECT max(r) FROM (SELECT rate(x) AS r FROM t)"
