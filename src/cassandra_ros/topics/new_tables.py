@@ -142,9 +142,16 @@ class NewTables:
         if format is not None and format != "":
             format_class(format)
             return format
+        return self.stored_format(topic, md5sum) or DEFAULT_FORMAT
+
+    def stored_format(self, topic: str, md5sum: str) -> str:
+        """Return the format of the table of a topic that was made last; '' = it has no table.
+
+        Of several tables one for this md5 is preferred.
+        """
         listing = self._schema.listing()
         tables = [listing.visible[table] for table in listing.by_topic.get(topic, ())]
-        return stored_format(tables, md5sum) if tables else DEFAULT_FORMAT
+        return stored_format(tables, md5sum) if tables else ""
 
     def make(
         self, metadata: TopicMetadata, definition: Definition | None, *, large: bool = False

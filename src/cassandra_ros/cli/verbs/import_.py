@@ -14,6 +14,10 @@ those of a time after the year 2106.
   cassandra_bag import /data/monday /data/tuesday --recursive
   cassandra_bag import crashed.bag.active --salvage
 
+Without --format a new topic is stored as packed if the file has at least 100 messages of it, 9 a
+second or more, of at most 64 KiB each, and if packed saves at least a quarter of the disk; else as
+ros. The table that is printed says why. A topic that is stored keeps its format.
+
 If FILE is a folder, all its bags and MCAP files are imported, sorted by name: *.bag and *.mcap,
 with --salvage also *.bag.active and *.mcap.active.
 
@@ -39,7 +43,7 @@ import os
 import signal
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -63,6 +67,7 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
+from cassandra_ros.metadata import DEFAULT_FORMAT
 from cassandra_ros.printable import shown
 from cassandra_ros.shared_options import FORMAT
 
@@ -121,7 +126,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bags", nargs="+", metavar="FILE", help=text)
     text = "also import the files in subfolders of a folder (default: only those in the folder)"
     add("-r", "--recursive", action="store_true", help=text)
-    add_option(parser, "format", FORMAT, None)
+    text = FORMAT.help.replace(DEFAULT_FORMAT + ")", f"packed or {DEFAULT_FORMAT}, as above)")
+    add_option(parser, "format", replace(FORMAT, help=text), None)
     add_topics_option(parser, "the FILEs")
     add(
         "--node-id",
@@ -238,12 +244,15 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
 
 
 def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
+    topics = sorted(report.topics.items())
+    has_why = any(topic.why for _, topic in topics)  # not with --format
     rows = [
         (shown(name), str(topic.messages), format_bytes(topic.bytes), topic.format)
-        for name, topic in sorted(report.topics.items())
+        + (topic.why,) * has_why
+        for name, topic in topics
     ]
     if rows:
-        header = ("topic", "messages", "size", "format")
+        header = ("topic", "messages", "size", "format") + ("why",) * has_why
         print(format_table(header, rows, right=("messages", "size")))
     what = f"{counted(report.messages, 'message')} of {counted(len(rows), 'topic')}"
     print(

@@ -12,6 +12,9 @@ messages are like these. Blocks of format packed are those of a recording: up to
 0.5 s; an import fills them better. Not included: index files, and the data that Cassandra deletes
 later.
 
+Of FILE.bag a second table shows the format in which 'import' without --format stores each topic, if
+it is not stored yet, the reason, and the disk that all its messages then take.
+
 If a topic is stored and takes 16 MiB or more on disk, the last columns tell what its table really
 takes now, as the nodes say, divided by its messages and copies. Rows that Cassandra still
 holds in memory are counted as messages but not on disk, so shortly after recording the figure is
@@ -21,6 +24,7 @@ too small. With replication factor 3 each of three nodes keeps all messages.
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Callable, Iterable, Mapping, Sequence, Tuple
@@ -37,7 +41,8 @@ from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, to
 from cassandra_ros.errors import AccessDenied, InvalidOption
 from cassandra_ros.metadata import DEFAULT_FORMAT, FORMAT_NAMES
 from cassandra_ros.printable import shown
-from cassandra_ros.recording.option_values import BLOCK_SEC, read_rate_limit
+from cassandra_ros.recording.option_values import read_rate_limit
+from cassandra_ros.store.tables.lengths import BLOCK_SEC
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -72,6 +77,13 @@ class TopicSize:
     the format cannot hold them."""
     measured: float | None
     """Bytes on disk of a message and copy in the store now; None = not known."""
+    messages: int
+    import_format: str
+    """Format in which an import of the file stores the topic, if it is new; '' = no file."""
+    import_why: str
+    """Reason for this format in a few words."""
+    import_bytes: float | None
+    """Estimated bytes on disk of one copy of all messages of the file after its import."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +150,8 @@ def run(options: argparse.Namespace) -> int:
         return 1
     _print_topics(sizes)
     _print_need(sizes, need)
+    if options.bag:
+        _print_import(sizes)
     return 0
 
 
@@ -186,8 +200,12 @@ def _measurement(ros_cas: RosCassandra, keyspace: str) -> Callable[[TopicSample]
 
 
 def _size(sample: TopicSample, rates: Rates, measured: float | None) -> TopicSize:
-    from cassandra_ros.files.bag.size_estimate import estimate
+    from cassandra_ros.files.bag.format_choice import FormatChoice, choose_format
+    from cassandra_ros.files.bag.size_estimate import estimate, format_size
 
+    # An import goes by the rate in the file, so before that of --rates is set.
+    choice = FormatChoice("") if sample.stored_format else choose_format(sample)
+    imported = format_size(sample, choice.format, math.inf) if choice.format else None
     given = (hz for pattern, hz in rates if re.fullmatch(pattern, sample.topic))
     sample.rate_hz = next(given, sample.rate_hz)
     sizes = {k: None if v is None else v.disk for k, v in estimate(sample, BLOCK_SEC).items()}
@@ -206,6 +224,9 @@ def _size(sample: TopicSample, rates: Rates, measured: float | None) -> TopicSiz
         sizes,
         day,
         measured,
+        sample.count,
+        *choice,
+        import_bytes=None if imported is None else imported.disk * sample.count,
     )
 
 
@@ -260,6 +281,18 @@ def _print_need(sizes: Sequence[TopicSize], need: ClusterNeed) -> None:
     if need.left_out:
         topics = counted(need.left_out, "topic")
         print(f"  without {topics} of unknown rate (--rates), or that this format cannot hold")
+
+
+def _print_import(sizes: Sequence[TopicSize]) -> None:
+    rows = [
+        (shown(s.topic), str(s.messages), _bytes(s.import_bytes), s.import_format, s.import_why)
+        for s in sorted(sizes, key=lambda size: size.topic)
+    ]
+    total = _bytes(_sum(size.import_bytes for size in sizes))
+    rows.append(("total", str(sum(size.messages for size in sizes)), total, "", ""))
+    print("\nimported without --format:")
+    header = ("topic", "messages", "on disk", "format", "why")
+    print(format_table(header, rows, right=("messages", "on disk")))
 
 
 def _sum(values: Iterable[float | None]) -> float:

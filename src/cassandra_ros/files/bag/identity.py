@@ -14,7 +14,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from struct import Struct
-from typing import Iterable, Mapping, NamedTuple, Sequence, Union
+from typing import Callable, Iterable, Mapping, NamedTuple, Sequence, Union
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -61,7 +61,11 @@ class BagContent(NamedTuple):
         return run.labels.get(CONTENT) == self.digest
 
 
-def read_content(reader: MessageFile, reading: MessageProgress | None = None) -> BagContent:
+def read_content(
+    reader: MessageFile,
+    reading: MessageProgress | None = None,
+    seen: Callable[[bytes, ChunkMessages], object] | None = None,
+) -> BagContent:
     """Read all messages of a bag and hash them in the order of the file.
 
     A damaged chunk adds a fixed value to the hash: the import fails when it reaches this chunk,
@@ -69,6 +73,7 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
 
     Args:
         reading: Callback for the messages that were read, called after each chunk.
+        seen: Called with what ``chunk_content`` returns of each chunk that can be read.
 
     Raises:
         BagTooLarge: The bag would unpack to more bytes or records than the Allowance permits.
@@ -86,6 +91,8 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
                 if chunk not in reader.salvaged.damaged:
                     parts = _parts(content, messages, rank)
                     sent.update(_publish_time_bytes(reader.chunk_publish_times(chunk)))
+                if seen is not None:
+                    seen(content, messages)
             except BagTooLarge:
                 raise  # nothing of the file is stored yet
             except BagError:

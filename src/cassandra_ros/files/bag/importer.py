@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import TracebackType
 from typing import AbstractSet, Iterable, Iterator, Mapping, Sequence
 
@@ -25,6 +26,14 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.files.bag import identity
 from cassandra_ros.files.bag.file_formats import open_file
+from cassandra_ros.files.bag.format_choice import (
+    CHOICE_MESSAGES,
+    STORED_BEFORE,
+    UNUSABLE,
+    FormatChoice,
+    choose_format,
+    too_few,
+)
 from cassandra_ros.files.bag.identity import BagContent, source_of
 from cassandra_ros.files.bag.mcap_events import event_of
 from cassandra_ros.files.bag.message_file import (
@@ -36,6 +45,7 @@ from cassandra_ros.files.bag.message_file import (
     topics_of,
 )
 from cassandra_ros.files.bag.publish_times import store_publish_times
+from cassandra_ros.files.bag.size_estimate import TopicSample, new_samples, sample_chunk
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.formats.table import FALLBACK_FORMAT
@@ -153,6 +163,8 @@ class ImportedTopic:
 
     format: str
     """Storage format of the topic's table; 'binary' if the message definition cannot be used."""
+    why: str = ""
+    """Reason for the format in a few words; '' = the caller named it."""
     messages: int = 0
     bytes: int = 0
     """Size of the serialised messages, bytes."""
@@ -212,7 +224,8 @@ def import_bag(
     not depend on the size of the bag, except for BagReader's index.
 
     Args:
-        format: Storage format of all topics, as in addTopic.
+        format: Storage format of all topics, as in addTopic; None = a stored topic keeps its
+            format, and that of a new one is chosen by choose_format.
         topics: Topics to import, with or without leading slash; None = all.
         nodeID: Robot that recorded the bag; '' = unknown.
         progress: Callback for the messages that were stored, see MessageProgress.
@@ -241,7 +254,10 @@ def import_bag(
     keyspace = ros_cas.catalog.keyspace
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
-        content = identity.read_content(reader, reading)
+        samples = {} if format else new_samples(reader, reader.connections.keys())
+        sampled = {n: sample for n, sample in samples.items() if not too_few(sample)}
+        seen = partial(sample_chunk, sampled, CHOICE_MESSAGES)
+        content = identity.read_content(reader, reading, seen)
         # The limits of blocks depend neither on the current time nor on the imported topics.
         limits = limits_for(len(reader.connections))
         lengths = table_lengths(reader, content.sizes)
@@ -256,10 +272,10 @@ def import_bag(
         if earlier is not None:
             run = replace(run, name=earlier.name, stored=earlier.stored, lost=earlier.lost)
         report.notes += _notes(reader.path, keyspace.registry.runs(), run, earlier, content)
-        formats = _formats(keyspace, reader, numbers, run, is_repeated)
+        choices = _choices(keyspace, reader, numbers, run, is_repeated, samples)
         node = check_new_node(nodeID)
         wanted = {
-            n: Asked(connection, *lengths[n], formats[n])
+            n: Asked(connection, *lengths[n], choices[n].format)
             for n, connection in reader.connections.items()
             if n in numbers
         }
@@ -276,7 +292,7 @@ def import_bag(
             connections=[*wanted.values()],
         ) as writer:
             handles = {n: _connect(writer, wish) for n, wish in wanted.items()}
-            _name_topics(handles, report)
+            _name_topics(handles, choices, report)
             if is_repeated:
                 _remove_other_blocks(keyspace, handles, run)
             _write_messages(ahead, writer, handles, report, progress)
@@ -343,10 +359,12 @@ def _connect(writer: MessageWriter, wish: Asked) -> Handle:
     )
 
 
-def _name_topics(handles: Mapping[int, Handle], report: ImportReport) -> None:
+def _name_topics(
+    handles: Mapping[int, Handle], choices: Mapping[int, FormatChoice], report: ImportReport
+) -> None:
     """Add the stored topics, their formats and warnings to the report."""
-    for handle in handles.values():
-        report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
+    for number, handle in handles.items():
+        report.topics.setdefault(handle.topic, ImportedTopic(handle.format, choices[number].why))
         if handle.warning and handle.warning not in report.warnings:
             report.warnings.append(handle.warning)
 
@@ -460,27 +478,37 @@ def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int,
     return writer_id, None
 
 
-def _formats(
+def _choices(
     keyspace: Keyspace,
     reader: MessageFile,
     numbers: AbstractSet[int],
     run: Run,
     is_repeated: bool,
-) -> dict[int, str]:
+    samples: Mapping[int, TopicSample],
+) -> dict[int, FormatChoice]:
     """Return the storage format of each connection, by number.
 
     A repeated import writes to the tables that hold its rows, even if the topic has changed since.
+
+    Args:
+        samples: By connection; not used if the caller gave the format.
 
     Raises:
         TopicExists: The rows are stored in another format than the one that the caller gave; every
             message would be stored twice.
     """
-    formats: dict[int, str] = {}
+    choices: dict[int, FormatChoice] = {}
+    chosen: dict[TopicSample, FormatChoice] = {}
     for number in sorted(numbers):
         connection = reader.connections[number]
         stored = _stored_formats(keyspace, connection, run) if is_repeated else set()
         md5sum = connection_kind(connection).md5sum
-        new = run.format or keyspace.new_tables.format_for(connection.topic, md5sum)
+        new, why = run.format or keyspace.new_tables.stored_format(connection.topic, md5sum), ""
+        if not new:
+            sample = samples[number]
+            chosen[sample] = new, why = chosen.get(sample) or choose_format(sample)
+        elif not run.format:
+            why = STORED_BEFORE
         usable, _ = usable_definition(connection, new)
         if run.format and stored - {new if usable is not None else FALLBACK_FORMAT}:
             raise TopicExists(
@@ -490,8 +518,10 @@ def _formats(
                 f"--format {new}' changes the format of what is stored; or import it into "
                 "another keyspace"
             )
-        formats[number] = min(stored, default=new)
-    return formats
+        if stored:
+            new, why = min(stored), "" if run.format else STORED_BEFORE
+        choices[number] = FormatChoice(new, why if usable is not None else UNUSABLE)
+    return choices
 
 
 def _stored_formats(keyspace: Keyspace, connection: Connection, run: Run) -> set[str]:

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import Iterable, List, Mapping, Sequence, Tuple
+from typing import AbstractSet, Iterable, List, Mapping, Sequence, Tuple
 
 import lz4.block
+import numpy as np
 
 from cassandra_ros.errors import DefinitionError
+from cassandra_ros.files.bag.format import ChunkMessages
 from cassandra_ros.files.bag.message_file import MessageFile, connections_of_topics
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
-from cassandra_ros.messages.definition import Definition, read_definition
+from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.messages.formats.table import format_class
+from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import FORMAT_NAMES, Kind
 from cassandra_ros.store.blocks.block_builder import ALONE_BYTES
@@ -27,7 +29,7 @@ from cassandra_ros.store.blocks.codec import pack_block
 from cassandra_ros.store.tables.lengths import MAX_BLOCK_BYTES, MAX_BLOCK_MESSAGES
 from cassandra_ros.store.tables.row_table import INLINE_COLUMN_BYTES, LARGE_MESSAGE_CHUNK_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.message_writer import connection_kind
+from cassandra_ros.topics.message_writer import connection_kind, usable_definition
 from cassandra_ros.topics.stored_totals import TopicInfo
 
 SAMPLE_BYTES = 2 << 20
@@ -53,7 +55,7 @@ Wires = List[Tuple[int, bytes]]
 """Receive time, ns, and serialised bytes of messages."""
 
 
-@dataclass
+@dataclass(eq=False)
 class TopicSample:
     """Some messages of one topic and type.
 
@@ -97,7 +99,16 @@ class TopicSample:
 
 def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) -> list[TopicSample]:
     """Sample the first messages of each topic and type of a bag or an MCAP, at most ``most``."""
-    numbers = connections_of_topics(reader, topics)
+    samples = new_samples(reader, connections_of_topics(reader, topics))
+    wanted = dict(samples)
+    for chunk in range(reader.chunk_count):
+        if not wanted.keys().isdisjoint(reader.chunk_info(chunk).counts):
+            sample_chunk(wanted, most, *reader.chunk_content(chunk))
+    return list(dict.fromkeys(samples.values()))
+
+
+def new_samples(reader: MessageFile, numbers: AbstractSet[int]) -> dict[int, TopicSample]:
+    """Return samples without messages by connection, one for each topic and type of a file."""
     seconds = (reader.end_ns - reader.start_ns) / SECOND_NS
     samples: dict[tuple[str, Kind], TopicSample] = {}
     sample_of: dict[int, TopicSample] = {}
@@ -106,9 +117,7 @@ def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) ->
         connection = reader.connections[number]
         key = (connection.topic, connection_kind(connection))
         if key not in samples:
-            definition = _usable_definition(
-                connection.type, connection.definition_text, connection.md5sum
-            )
+            definition, _ = usable_definition(connection, FALLBACK_FORMAT)
             samples[key] = TopicSample(
                 connection.topic, connection.type, connection.md5sum, definition
             )
@@ -116,18 +125,25 @@ def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) ->
         samples[key].count += reader.counts[number]
     for sample in samples.values():
         sample.rate_hz = sample.count / seconds if seconds > 0 else None
-    unfilled = set(sample_of)
-    for chunk in range(reader.chunk_count):
-        if not unfilled:
-            break
-        # The set shrinks in the loop, and chunk_messages goes by it at once.
-        for message in reader.chunk_messages(chunk, unfilled):
-            sample = sample_of[message.number]
-            if message.number in unfilled and not sample.add_message(
-                message.t_ns, message.data, most
-            ):
-                unfilled -= {number for number, other in sample_of.items() if other is sample}
-    return list(samples.values())
+    return sample_of
+
+
+def sample_chunk(
+    samples: dict[int, TopicSample], most: int, content: bytes, messages: ChunkMessages
+) -> None:
+    """Add the messages of a chunk to samples by connection; drop the samples that are full.
+
+    Args:
+        most: Maximum number of messages in a sample.
+        content, messages: The result of ``chunk_content``.
+    """
+    numbers = np.unique(messages.ids).tolist() if samples else ()
+    for number in filter(samples.__contains__, numbers):
+        for row in np.flatnonzero(messages.ids == number).tolist():
+            wire = content[messages.starts[row] : messages.stops[row]]
+            if not samples[number].add_message(int(messages.times[row]), wire, most):
+                del samples[number]
+                break
 
 
 def sample_topic(topic: CassandraTopic, infos: Sequence[TopicInfo], most: int) -> list[TopicSample]:
@@ -186,14 +202,6 @@ def _fill(
                 return
 
 
-def _usable_definition(msg_type: str, text: str, md5sum: str) -> Definition | None:
-    """Return the definition of a connection; None if it is unusable, see read_definition."""
-    try:
-        return read_definition(msg_type, text, md5sum)
-    except DefinitionError:
-        return None
-
-
 @dataclass(frozen=True)
 class FormatSize:
     """Bytes that one message of a topic takes in one format, without copies on other nodes."""
@@ -205,23 +213,23 @@ class FormatSize:
 
 
 def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, FormatSize | None]:
-    """Return the size of a message of a topic in each format.
+    """Return ``format_size`` of each format."""
+    return {name: format_size(sample, name, block_sec) for name in FORMAT_NAMES}
 
-    None = the format cannot hold it, or the sample is empty.
+
+def format_size(sample: TopicSample, name: str, block_sec: float) -> FormatSize | None:
+    """Return the size of a message of a topic in a format; None = the format cannot hold it.
 
     Args:
-        block_sec: Format ``packed``: maximum time in which a recorder fills a block, s.
+        block_sec: Format ``packed``: time that a recorder fills a block at most, s; ``math.inf`` =
+            until it is full, as an import does.
     """
-    sizes: dict[str, FormatSize | None] = {}
-    for name in FORMAT_NAMES:
-        try:
-            encoder = format_class(name)(sample.type, sample.md5sum, sample.definition)
-        except DefinitionError:
-            sizes[name] = None
-            continue
-        parts = _blocks(encoder, sample, block_sec) if encoder.PACKED else _rows(encoder, sample)
-        sizes[name] = _mean(sample, parts)
-    return sizes
+    try:
+        encoder = format_class(name)(sample.type, sample.md5sum, sample.definition)
+    except DefinitionError:
+        return None
+    parts = _blocks(encoder, sample, block_sec) if encoder.PACKED else _rows(encoder, sample)
+    return _mean(sample, parts)
 
 
 def _mean(sample: TopicSample, parts: Iterable[tuple[bytes, int]]) -> FormatSize | None:
@@ -275,7 +283,7 @@ def _blocks(
     """Yield the blocks of a sample, as BlockBuilder would make them, see _mean."""
     at = 0
     rate = sample.rate_hz or float(MAX_BLOCK_MESSAGES)
-    most = max(1, min(MAX_BLOCK_MESSAGES, round(rate * block_sec)))
+    most = max(1, round(min(MAX_BLOCK_MESSAGES, rate * block_sec)))
     while at < len(sample.wires):
         stop, nbytes = at + 1, len(sample.wires[at][1])
         while stop < min(at + most, len(sample.wires)):
