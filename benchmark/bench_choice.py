@@ -46,8 +46,9 @@ from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.files.bag.size_estimate import sample_file
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.recording.option_values import BLOCK_SEC
 from cassandra_ros.store.blocks.block_builder import BlockLimits
-from cassandra_ros.store.tables.lengths import BLOCK_SEC, MAX_BLOCK_BYTES, MAX_BLOCK_MESSAGES
+from cassandra_ros.store.tables.lengths import MAX_BLOCK_BYTES, MAX_BLOCK_MESSAGES
 from cassandra_ros.topics.message_writer import MessageWriter
 
 TOPIC_BYTES = 16 << 20

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import math
 import random
 from pathlib import Path
 
@@ -91,8 +90,7 @@ def test_messages_that_do_not_compress_are_ros():
 
 
 def test_the_limits_are_included(imus):
-    assert choose_format(sample(imus, 50.0, 100)).format == "packed"
-    assert choose_format(sample(imus, 9.0, 100)).why.startswith("9/s of 320 B: packed saves ")
+    assert choose_format(sample(imus, 9.0, 100)).format == "packed"
 
 
 @pytest.mark.parametrize(("size", "expected"), [(60_000, "packed"), (70_000, "ros")])
@@ -228,7 +226,7 @@ def test_a_format_that_the_user_names_wins(rosCas, tmp_path, form):
     path = write_robot(tmp_path / "a.bag")
     report = import_bag(rosCas, path, format=form)
     assert formats(report) == {topic: "binary" if topic == "/broken" else form for topic in ROBOT}
-    assert {imported.why for topic, imported in report.topics.items() if topic != "/broken"} == {""}
+    assert {imported.why for imported in report.topics.values()} == {""}
     again = import_bag(rosCas, path)
     assert formats(again) == formats(report)
     assert verify_bag(rosCas, path).equal
@@ -268,7 +266,7 @@ def test_size_says_what_an_import_does(call, tmp_path):
     for topic, each in told.items():
         whys = (each["import_why"], imported[topic]["why"])
         assert (each["messages"], whys[0]) == (imported[topic]["messages"], whys[1])
-    # Full blocks take less than those of half a second.
+    # The import's blocks are full, those of a recorder hold half a second.
     assert told["/imu"]["import_bytes"] < 600 * told["/imu"]["bytes_a_message"]["packed"]
     lines = call("size", path)[1].splitlines()
     begin = lines.index("imported without --format:")
@@ -286,7 +284,7 @@ def test_of_a_stored_topic_size_says_nothing_of_an_import(call, rosCas):
 def test_the_bag_of_the_pages():
     with open_file(str(HUSKY)) as reader:
         chosen = {s.topic: choose_format(s) for s in sample_file(reader, None, 1000)}
-    assert chosen["/tf"] == FormatChoice("packed", "80/s of 423 B: saves 45%")
+    assert chosen["/tf"] == FormatChoice("packed", "80/s of 423 B: saves 75%")
     assert chosen["/imu/data"] == FormatChoice("ros", "low rate: 8.32/s")
-    assert chosen["/encoder"].format == "ros"
-    assert math.isclose(sum(choice.format == "packed" for choice in chosen.values()), 2)
+    assert chosen["/fix"] == FormatChoice("ros", "few messages")
+    assert sum(choice.format == "packed" for choice in chosen.values()) == 15

@@ -24,6 +24,8 @@ DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
 """Default maximum memory of the messages that wait for the store, bytes."""
 DEFAULT_SPACE_BYTES = 1 << 30
 """Default minimum free space where the local Cassandra keeps its data, bytes."""
+BLOCK_SEC = 0.5
+"""Default maximum time that a message waits for others in a block of format packed, s."""
 MAX_RATE_HZ = 1e6
 """Maximum value of a rate limit, Hz."""
 

@@ -14,6 +14,7 @@ from cassandra_ros import quantities
 from cassandra_ros.files.spool.spool_folder import DEFAULT_BYTES, SpoolFolder
 from cassandra_ros.option import OptionGroup, option
 from cassandra_ros.recording.option_values import (
+    BLOCK_SEC,
     DEFAULT_BUFFER_BYTES,
     DEFAULT_SPACE_BYTES,
     SettingsFile,
@@ -26,7 +27,6 @@ from cassandra_ros.recording.option_values import (
     read_where,
 )
 from cassandra_ros.shared_options import DROP_UNCOPIED, EXCLUDE, FORMAT, MAX_SIZE
-from cassandra_ros.store.tables.lengths import BLOCK_SEC
 
 _RUNS = OptionGroup("runs")
 _TOPICS = OptionGroup(

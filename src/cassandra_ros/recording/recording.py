@@ -29,7 +29,7 @@ from cassandra_ros.recording.backlog import Backlog, OnDisk
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, Feed, MessageSource
-from cassandra_ros.recording.option_values import DEFAULT_BUFFER_BYTES
+from cassandra_ros.recording.option_values import BLOCK_SEC, DEFAULT_BUFFER_BYTES
 from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
@@ -41,7 +41,7 @@ from cassandra_ros.recording.topic_settings import (
     settings_as_json,
 )
 from cassandra_ros.store.tables.context_blob import RunContext
-from cassandra_ros.store.tables.lengths import BLOCK_SEC, Lengths
+from cassandra_ros.store.tables.lengths import Lengths
 from cassandra_ros.store.tables.registry import LossKind, Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, make_writer
 from cassandra_ros.topics.run_finder import describe_runs

@@ -41,8 +41,7 @@ from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, to
 from cassandra_ros.errors import AccessDenied, InvalidOption
 from cassandra_ros.metadata import DEFAULT_FORMAT, FORMAT_NAMES
 from cassandra_ros.printable import shown
-from cassandra_ros.recording.option_values import read_rate_limit
-from cassandra_ros.store.tables.lengths import BLOCK_SEC
+from cassandra_ros.recording.option_values import BLOCK_SEC, read_rate_limit
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra

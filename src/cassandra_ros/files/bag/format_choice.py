@@ -7,6 +7,7 @@ It follows from the file alone. doc/formats.md has the measurements behind the c
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,15 +15,15 @@ from cassandra_ros.files.bag.size_estimate import TopicSample, format_size
 from cassandra_ros.messages.formats.table import FALLBACK_FORMAT
 from cassandra_ros.metadata import DEFAULT_FORMAT
 from cassandra_ros.store.blocks.block_builder import ALONE_BYTES
-from cassandra_ros.store.tables.lengths import BLOCK_SEC
 
 CHOICE_MESSAGES = 256
 """Maximum number of messages of a topic that are compressed for the choice."""
 MIN_MESSAGES = 100
 """Minimum number of messages of a packed topic. Fewer take less disk than the table's own files."""
 MIN_HZ = 9.0
-"""Minimum rate of a packed topic, messages/s: 10 Hz, of which some may be missing. At lower rates a
-block of half a second holds fewer than five messages."""
+"""Minimum rate of a packed topic, messages/s: 10 Hz, of which some may be missing. A recorder that
+goes on with the topic fills a block for half a second: with fewer messages it would take up to
+three times the disk of ``ros``."""
 MIN_SAVED = 0.25
 """Minimum share of the disk of ``ros`` that ``packed`` saves. For less it is not worth to give up
 columns that other programs can read, indexes, and the faster lookup of single messages."""
@@ -41,8 +42,7 @@ def choose_format(sample: TopicSample) -> FormatChoice:
     """Choose the format of a topic by its first messages and its mean rate in a file.
 
     It is ``packed`` from 100 messages on, at 9 messages a second or more, of at most 64 KiB each,
-    if this saves a quarter of the disk that ``ros`` takes. The blocks that are compared are those
-    of half a second, as a recorder makes them: later recordings of the topic keep its format.
+    if this saves a quarter of the disk that ``ros`` takes.
     """
     if sample.definition is None:
         return FormatChoice(FALLBACK_FORMAT, UNUSABLE)
@@ -53,7 +53,7 @@ def choose_format(sample: TopicSample) -> FormatChoice:
     sample = replace(sample, wires=wires, nbytes=sum(len(wire) for _, wire in wires), mean_bytes=0)
     if sample.message_bytes > ALONE_BYTES:
         return FormatChoice(DEFAULT_FORMAT, f"messages over {ALONE_BYTES >> 10} KiB")
-    rows, blocks = (format_size(sample, name, BLOCK_SEC) for name in (DEFAULT_FORMAT, "packed"))
+    rows, blocks = (format_size(sample, name, math.inf) for name in (DEFAULT_FORMAT, "packed"))
     saved = 1 - blocks.disk / rows.disk if rows and blocks else 0.0
     what = f"{sample.rate_hz:.0f}/s of {sample.message_bytes:.0f} B"
     if saved < MIN_SAVED:

@@ -520,7 +520,7 @@ def _choices(
             )
         if stored:
             new, why = min(stored), "" if run.format else STORED_BEFORE
-        choices[number] = FormatChoice(new, why if usable is not None else UNUSABLE)
+        choices[number] = FormatChoice(new, UNUSABLE if why and usable is None else why)
     return choices
 
 

@@ -18,8 +18,6 @@ MAX_BLOCK_MESSAGES = 1024
 """Maximum number of messages in a block."""
 MAX_BLOCK_BYTES = 256 * 1024
 """Maximum number of serialised bytes in a block."""
-BLOCK_SEC = 0.5
-"""Default maximum time that a recorded message waits for others in a block, s."""
 MIN_SPAN_NS = 10_000_000
 UNKNOWN_SPAN_NS = 10 * SECOND_NS
 """Minimum time range of a block, ns; and the time range of a block if the rate is unknown, ns."""
