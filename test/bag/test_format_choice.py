@@ -53,7 +53,7 @@ def sample(messages, rate_hz, count=None):
     found = TopicSample("/t", kind._type, kind._md5sum, definition_of(kind), rate_hz, count=count)
     step = SECOND / (rate_hz or 1)
     for n, msg in enumerate(messages):
-        found.add_message(START + round(n * step), serialize(msg), 1000)
+        found.add_message(START + round(n * step), serialize(msg), 2000)
     return found
 
 
@@ -110,9 +110,9 @@ def test_an_unusable_definition_is_binary(imus):
     assert choose_format(broken) == ("binary", "unusable definition")
 
 
-def test_only_the_first_messages_count(imus):
+def test_only_the_first_messages_count():
     """So 'size', which reads more of them, says what an import does."""
-    few, noise = imus[:CHOICE_MESSAGES], []
+    few, noise = [imu(n) for n in range(CHOICE_MESSAGES)], []
     for n in range(500):
         noise.append(imu(n))
         noise[-1].orientation_covariance = [random.Random(n + m).random() for m in range(9)]
@@ -284,7 +284,7 @@ def test_of_a_stored_topic_size_says_nothing_of_an_import(call, rosCas):
 def test_the_bag_of_the_pages():
     with open_file(str(HUSKY)) as reader:
         chosen = {s.topic: choose_format(s) for s in sample_file(reader, None, 1000)}
-    assert chosen["/tf"] == FormatChoice("packed", "80/s of 423 B: saves 75%")
+    assert chosen["/tf"] == FormatChoice("packed", "80/s of 423 B: saves 80%")
     assert chosen["/imu/data"] == FormatChoice("ros", "low rate: 8.32/s")
     assert chosen["/fix"] == FormatChoice("ros", "few messages")
     assert sum(choice.format == "packed" for choice in chosen.values()) == 15

@@ -13,7 +13,8 @@ messages are like these. Blocks of format packed are those of a recording: up to
 later.
 
 Of FILE.bag a second table shows the format in which 'import' without --format stores each topic, if
-it is not stored yet, the reason, and the disk that all its messages then take.
+it is not stored yet, the reason, and the disk that all its messages then take. An import encodes
+1000 messages for the choice: with a smaller --sample it may be another one.
 
 If a topic is stored and takes 16 MiB or more on disk, the last columns tell what its table really
 takes now, as the nodes say, divided by its messages and copies. Rows that Cassandra still

@@ -16,8 +16,8 @@ from cassandra_ros.messages.formats.table import FALLBACK_FORMAT
 from cassandra_ros.metadata import DEFAULT_FORMAT
 from cassandra_ros.store.blocks.block_builder import ALONE_BYTES
 
-CHOICE_MESSAGES = 256
-"""Maximum number of messages of a topic that are compressed for the choice."""
+CHOICE_MESSAGES = 1000
+"""Maximum number of messages of a topic that are compressed for the choice: nearly a full block."""
 MIN_MESSAGES = 100
 """Minimum number of messages of a packed topic. Fewer take less disk than the table's own files."""
 MIN_HZ = 9.0
