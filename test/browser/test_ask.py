@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 from browser.looking import near, pixels
 from browser.studio import Studio
+from selenium.webdriver import ActionChains
 from viewers import running_viewer
 
 BOX = "#ask-q"
@@ -145,6 +146,86 @@ def test_columns_are_drawn_over_another_one_of_them(page):
     window.wait_for(f"return {graphs} === 3 && {curves} === 0")
 
 
+GRAPHS = "document.querySelectorAll('#plot-panels div.graph').length"
+
+
+def with_second(window, text):
+    """Type what else is drawn, in place of what stands there; wait until it is drawn."""
+    field = window.driver.find_element("css selector", "#plot-with")
+    field.clear()
+    field.send_keys(text + "\ue007")
+    window.wait_for("return document.body.dataset.state === 'working' || arguments[0] === ''", text)
+    assert window.wait_for(ANSWERED) == "done"
+
+
+def test_two_topics_are_drawn_in_one_picture_with_an_axis_for_each_unit(page):
+    second = "select linear_acceleration.z from /imu/data"
+    window = page("/ask.html", q=STATEMENT, **{"with": second})
+    assert window.wait_for(ANSWERED) == "done"
+    assert window.run(f"return {GRAPHS}") == 1
+    legend = window.run(
+        "return [...document.querySelectorAll('#plot-panels .legend li')].map((e) => e.innerText)"
+    )
+    assert [text.strip() for text in legend] == [
+        "/fix altitude",
+        "m, ← left",
+        "/imu/data linear_acceleration.z",
+        "m/s², right →",
+    ]
+    labels = "return document.querySelectorAll('#plot-panels .dygraph-axis-label-y2').length"
+    assert window.run(labels) > 1
+    curves = pixels(window.picture("#plot-panels"))
+    for colour in ((0x2F, 0x7F, 0xE6), (0xE0, 0x70, 0x2F)):
+        assert near(curves, colour).sum() > 100, colour
+    # A value of the other topic is that before the pointer's time.
+    window.run("document.querySelector('#plot-panels').scrollIntoView()")
+    graph = window.driver.find_element("css selector", "#plot-panels div.graph")
+    ActionChains(window.driver).move_to_element(graph).perform()
+    values = "[...document.querySelectorAll('#plot-panels .legend .mono')].map((e) => e.innerText)"
+    shown = window.wait_for(f"const v = {values}; return v.every(Boolean) && v")
+    assert 270 < float(shown[0].split(" … ")[0]) < 280
+    # Both are zoomed, and stay in the address.
+    window.run("document.getElementById('plot-in').click()")
+    window.wait_for("return location.search.includes('start=')")
+    assert window.wait_for(ANSWERED) == "done"
+    assert window.run(f"return {GRAPHS}") == 1
+    assert "with=select" in window.driver.current_url
+    # Over another column there are only those of its own statement.
+    place = "select latitude, longitude from /fix"
+    window = page("/ask.html", q=place, over="/fix longitude", **{"with": second})
+    assert window.wait_for(ANSWERED) == "done"
+    over = "return [...document.querySelectorAll('#plot-over option')].map((o) => o.text)"
+    assert window.run(over) == ["time", "/fix latitude", "/fix longitude"]
+    names = "[...document.querySelectorAll('#plot-panels .legend button')].map((e) => e.innerText)"
+    assert [text.strip() for text in window.run(f"return {names}")] == ["/fix latitude"]
+
+
+def test_a_whole_topic_is_drawn_beside_a_statement(page):
+    window = page("/ask.html", q=STATEMENT)
+    assert window.wait_for(ANSWERED) == "done"
+    offered = "return [...document.querySelectorAll('#plot-topics option')].map((o) => o.value)"
+    assert "/imu/data" in window.run(offered)
+    with_second(window, "/imu/data")
+    assert window.run(f"return {GRAPHS}") > 1
+    assert "/imu/data angular_velocity.x" in text_of(window, "#plot-panels")
+    # One that is wrong is told, and the first one stays.
+    with_second(window, "select nothing from /imu/data")
+    assert "nothing" in text_of(window, "#plot-told")
+    assert window.run(f"return {GRAPHS}") == 1
+    assert all("status of 400" in error for error in window.errors())
+
+
+def test_the_topics_stay_in_reach_beside_an_answer(page, stored):
+    window = page("/ask.html", q=STATEMENT)
+    assert window.wait_for(ANSWERED) == "done"
+    topics = "[...document.querySelectorAll('#ask-topics button')].map((b) => b.textContent)"
+    assert window.wait_for(f"return {topics}.length && {topics}") == sorted(stored[1])
+    window.driver.find_element("css selector", "#ask-topics summary").click()
+    window.driver.find_element("xpath", "//button[text()='/encoder']").click()
+    window.wait_for("return location.search.includes('/encoder')")
+    assert window.wait_for(ANSWERED) == "done"
+
+
 def test_sql_is_asked_over_several_topics(page):
     window = page("/ask.html")
     window.run(
@@ -201,16 +282,16 @@ def test_more_rows_of_sql_are_shown(page):
     assert "LIMIT" in text_of(window, "#rows-told")
 
 
-def test_every_topic_is_offered_or_it_is_said_how_many_more_there_are(window, fresh):
+def test_every_topic_is_offered(window, fresh):
     with fresh() as store:
         for n in range(262):
             store.addTopic(f"/t{n}")  # made by the first message
         with running_viewer(store) as viewer:
             window.errors()
             window.driver.get(f"{viewer.url}/ask.html")
-            buttons = "document.querySelectorAll('#ask-examples button').length"
-            assert window.wait_for(f"return {buttons}") == 200
-            assert "62 more" in text_of(window, "#ask-examples .more")
+            buttons = "document.querySelectorAll('#ask-topics button').length"
+            assert window.wait_for(f"return {buttons}") == 262
+            assert text_of(window, "#ask-topics summary") == "Topics: 262"
             write(window, "select * from /t")
             offered = "return document.querySelector('#ask-offers .more')?.textContent"
             assert "62 more" in window.wait_for(offered)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import urllib.request
 from urllib.parse import parse_qs, urlparse
 
@@ -160,36 +161,85 @@ def test_a_window_is_chosen_by_wheel_drag_and_keys_and_leads_on(page, tmp_path):
     assert int(chosen["start"][0]) <= min(times) <= max(times) <= int(chosen["end"][0])
 
 
+BUSY = 1_500_000_000
+"""A second of 2017."""
+
+
 @pytest.fixture
-def unset_clock(keyspaces, connect):
-    """A keyspace with 20 s of 1970, from before a clock was set, and 20 s of 2026."""
+def bags(keyspaces, connect):
+    """A keyspace with 10 s of 1970, from before a clock was set, 40 s of 2017 and 20 s of 2026.
+
+    In 2017 the robot r2 sends /first, then both robots another topic; in 1970 it is r3.
+    """
+    topics = [("/clock", "r3", 5, 10), ("/first", "r2", BUSY, 20), ("/later", "r2", BUSY + 20, 20)]
+    topics += [("/other", "r1", BUSY + 20, 20), ("/clock", "r1", LATER, 20)]
     with keyspaces.lend() as name:
         with connect(keyspace=name) as rosCas:
-            topic = rosCas.addTopic("/clock", msg_type="std_msgs/Float64")
-            for begin in (5, LATER):
-                for n in range(20):
-                    topic.addData(Float64(n), (begin + n) * 10**9)
+            for topic, node, begin, seconds in topics:
+                stored_topic = rosCas.addTopic(topic, msg_type="std_msgs/Float64", nodeID=node)
+                for n in range(seconds):
+                    stored_topic.addData(Float64(n), (begin + n) * 10**9)
         yield name
 
 
-def test_decades_in_which_nothing_lies_are_folded(page, unset_clock):
-    home = Home(page("/", keyspace=unset_clock))
-    day = 86_400 * 10**9
-    buttons = "[...document.querySelectorAll('#eras button')]"
-    texts = f"return {buttons}.map((b) => [b.textContent, b.ariaPressed])"
-    assert home.window.wait_for(texts) == [["1970", "false"], ["2026", "true"]]
-    start, end = home.view
-    assert (LATER - 60) * 10**9 < start < end < (LATER + 60) * 10**9 + day
-    home.window.run(f"{buttons}[0].click()")
-    home.window.wait_for(f"return {buttons}[0]?.ariaPressed === 'true'")
+SIDES = "[...document.querySelectorAll('#periods button')].map((b) => b.textContent)"
+
+
+def await_sides(home, *texts):
+    home.window.wait_for(f"return JSON.stringify({SIDES}) === arguments[0]", json_text(texts))
     home.settle()
+
+
+def json_text(texts):
+    return json.dumps(list(texts), ensure_ascii=False, separators=(",", ":"))
+
+
+def test_home_opens_where_most_messages_are_and_folds_the_others(page, bags):
+    home = Home(page("/", keyspace=bags))
+    before, after = "◀ 1970-01-01: 10 messages", "2026-01-01: 20 messages ▶"
+    await_sides(home, before, after)
     start, end = home.view
-    assert start <= 5 * 10**9 < 24 * 10**9 <= end < day
+    assert (BUSY - 10) * 10**9 < start <= BUSY * 10**9 < (BUSY + 39) * 10**9 <= end
+    assert end < (BUSY + 50) * 10**9
+    home.window.run("document.querySelector('#periods button').click()")
+    await_sides(home, "2017-07-14: 60 messages ▶")
+    start, end = home.view
+    assert start <= 5 * 10**9 < 14 * 10**9 <= end < 3600 * 10**9
     # It stands in the address, and the other way leads there again.
     address = home.window.driver.current_url
     assert parse_qs(urlparse(address).query)["start"] == ["5.000000000"]
     home.window.driver.back()
-    home.window.wait_for(f"return {buttons}[1]?.ariaPressed === 'true'")
+    await_sides(home, before, after)
+    # All of them, by the menu; and the address alone says so.
+    menu = "document.querySelector('#periods select')"
+    home.window.run(f"{menu}.value = -1; {menu}.dispatchEvent(new Event('change'))")
+    await_sides(home)
+    assert home.view[0] <= 5 * 10**9 < LATER * 10**9 <= home.view[1]
+    address = home.window.driver.current_url
+    home.window.driver.get("about:blank")
+    home.window.driver.get(address)
+    home = Home(home.window)
+    assert home.view[0] <= 5 * 10**9 < LATER * 10**9 <= home.view[1]
+
+
+LINES = "timeline.lines.map((line) => (line.lane ? [line.lane.topic, line.busy] : line.node))"
+
+
+def test_what_has_nothing_in_view_is_below_the_others(page, bags):
+    home = Home(page("/", keyspace=bags))
+    # r3 has messages only in another year.
+    first, later, other = (["/first", True], ["/later", True], ["/other", True])
+    clock = ["/clock", False]  # of r1, in another year
+    assert home.say(LINES) == ["r1", other, clock, "r2", first, later]
+    home = Home(page("/", keyspace=bags, start=BUSY * 10**9, end=(BUSY + 15) * 10**9))
+    idle = [["/later", False], "r1", clock, ["/other", False]]
+    assert home.say(LINES) == ["r2", first, *idle]
+    home.canvas.send_keys("\ue011")  # Home
+    home.window.wait_for(
+        f"const {{ timeline }} = arguments[0]; return {LINES}[0] === 'r1'", home.canvas
+    )
+    home = Home(page("/", keyspace=bags, start=(BUSY + 25) * 10**9, end=(BUSY + 30) * 10**9))
+    assert home.say(LINES) == ["r1", other, clock, "r2", later, ["/first", False]]
 
 
 def test_a_robot_whose_messages_were_deleted_is_gone(page, keyspaces, connect):

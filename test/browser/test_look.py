@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from browser import film, patrol
-from browser.looking import near
+from browser.looking import HUSKY_END, HUSKY_START, near
 from browser.studio import Studio, await_true, packed
+from geometry_msgs.msg import Wrench
 from std_msgs.msg import String
 from suites import SUITE
 
@@ -78,6 +80,67 @@ def test_what_is_not_in_the_window_is_a_note_at_most(page, keyspaces, connect):
         window = page("/look.html", keyspace=name, start=patrol.START + 1, end=patrol.END)
         (note,) = window.wait_for(NOTES.replace("return", "const n =") + "; return n.length && n")
         assert "no message" in note
+
+
+LAYOUT = """
+return (async () => {
+  const [{ layoutOf }, { get }] = await Promise.all([
+    import("/modules/studio_layout.js"), import("/modules/api.js")]);
+  const found = await get("/api/connections", arguments[0]);
+  const { configById } = layoutOf(found.topics, false);
+  const names = Object.keys(configById).map((id) => id.split("!")[0]);
+  return [names, (configById["Plot!curves"]?.paths ?? []).map((path) => path.value)];
+})();
+"""
+
+
+def test_panels_are_of_what_the_window_has(page, keyspaces, connect):
+    window = page("/ask.html")
+
+    def panels(start, end, **chosen):
+        return window.run(LAYOUT, {"start": str(start), "end": str(end), **chosen})
+
+    drive, patrols = (HUSKY_START, HUSKY_END), (patrol.START, patrol.END)
+    names, curves = panels(*drive, topics=["/fix"])
+    assert names == ["map", "Plot", "RawMessages"]
+    assert curves == ["/fix.altitude"]
+    assert panels(*drive)[0] == ["3D", "map", "Plot", "RawMessages", "RosOut"]
+    assert panels(*patrols)[0] == ["3D", "ImageViewPanel", "Plot", "RawMessages"]
+    # The room's map and tf are of the patrol; an hour earlier they are not named.
+    assert panels(*drive, topics=["/encoder", "/scan", "/map"])[0] == ["Plot", "RawMessages"]
+    assert panels(*drive, topics=["/rosout"])[0] == ["RawMessages", "RosOut"]
+    with keyspaces.lend() as name:
+        with connect(keyspace=name) as rosCas:
+            rosCas.addTopic("/text", msg_type="std_msgs/String").addData(String("x"), 10**18)
+            rosCas.addTopic("/wrench").addData(Wrench(), 10**18)
+        found = panels(10**18, 10**18 + 1, keyspace=name)
+    assert found[0] == ["Plot", "RawMessages"]
+    assert found[1][:2] == ["/wrench.force.x", "/wrench.force.y"]
+
+
+def test_positions_are_on_a_map_that_asks_no_other_server(page):
+    # An error in the console would be told by the fixture.
+    window = page("/look.html", start=HUSKY_START, end=HUSKY_END, topics="/fix")
+    studio = Studio(window)
+    window.wait_for("return document.querySelector('#menu-topics')")
+    studio.press("Play")
+    studio.await_time(lambda now: now > HUSKY_START + 2 * patrol.SECOND)
+    studio.await_picture("map", lambda picture: len(np.unique(picture.reshape(-1, 3), axis=0)) > 10)
+
+
+def test_the_menus_name_what_the_window_has(page):
+    window = page("/look.html", start=patrol.START, end=patrol.END, topics="/odom,/fix")
+    Studio(window)
+    texts = "[...document.querySelectorAll('#menu-topics li')].map((e) => e.innerText)"
+    topics = [text.split(" ")[0] for text in window.wait_for(f"return {texts}.length && {texts}")]
+    # /fix has nothing in it, but can be left out again.
+    assert topics == ["/camera/image/compressed", "/map", *patrol_topics(), "/fix"]
+    runs = "return [...document.querySelectorAll('#menu-runs li')].map((e) => e.textContent)"
+    assert window.run(runs) == ["patrol.bag"]
+
+
+def patrol_topics():
+    return [patrol.ODOM, patrol.SCAN, "/tf", "/tf_static"]
 
 
 FILM_SEC = {"test": 30, "all": 100, "campaign": 3600}[SUITE]

@@ -50,9 +50,9 @@ def test_another_keyspace_is_chosen_and_stays_chosen(page, viewer, stored, other
     window.run(f"{select}.value = '{other}'; {select}.dispatchEvent(new Event('change'))")
     chosen = f"location.search === '?keyspace={other}' && {select}?.value === '{other}'"
     window.wait_for(f"return {chosen}")
-    topics = "[...document.querySelectorAll('#ask-examples button')].map((b) => b.textContent)"
+    topics = "[...document.querySelectorAll('#ask-topics button')].map((b) => b.textContent)"
     assert window.wait_for(f"return {topics}.length && {topics}") == ["/elsewhere"]
-    window.run("document.querySelector('#ask-examples button').click()")
+    window.run("document.querySelector('#ask-topics button').click()")
     window.wait_for("return document.querySelector('#ask-rows tbody td:last-child')")
     assert "7.5" in window.run("return document.querySelector('#ask-rows tbody').textContent")
     for name, path in PAGES.items():

@@ -232,6 +232,9 @@ def test_look_reads_each_message_once_in_pages(mixed):
     found, whole = (v.get("/api/connections") for v in (viewer, one))
     assert [t["topic"] for t in found["topics"]] == [t["topic"] for t in whole["topics"]]
     assert [t["schema"] for t in found["topics"]] == [t["schema"] for t in whole["topics"]]
+    late = {"start": T0 + 2 * SEC, "end": T0 + 10**12}
+    found, whole = (v.get("/api/connections", **late)["topics"] for v in (viewer, one))
+    assert [t["topic"] for t in found] == [t["topic"] for t in whole] != []
     for t in (T0 + 3 * SEC, T0 + 10**12):
         latest = [frames_of(v.ask("/api/latest", {"time": str(t)}))[0] for v in (viewer, one)]
         assert latest[0] == latest[1] != []

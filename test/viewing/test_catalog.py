@@ -88,6 +88,11 @@ def test_offers_that_are_left_out_are_counted(fresh):
             offered = viewer.get("/api/complete", q="SELECT * FROM ")
             assert (len(offered["offers"]), offered["more"]) == (200, 62)
             assert viewer.get("/api/complete", q="SELECT * FROM /t26")["more"] == 0
+            for language in ("cql", "sql"):
+                asked = {"q": "SELECT * FROM ", "language": language, "limit": 10_000}
+                offers = viewer.get("/api/complete", **asked)["offers"]
+                assert sum(offer["kind"] == "topic" for offer in offers) == 262
+            assert viewer.fail("/api/complete", q="SELECT ", limit=10_001)[0] == 400
 
 
 def test_another_keyspace_is_read_by_its_name(viewer, stored, fresh):

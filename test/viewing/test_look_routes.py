@@ -232,6 +232,22 @@ def test_connections_tell_the_window_and_how_much_lies_in_it(viewer):
     assert viewer.fail("/api/messages", runs="none")[0] == 404
 
 
+def test_only_what_a_window_has_to_show_is_named(viewer):
+    def named(**window):
+        return [topic["topic"] for topic in viewer.get("/api/connections", **window)["topics"]]
+
+    # /static was latched before by the same run; /map has no place in time. There is no /image yet.
+    window = {"start": at(1), "end": at(2)}
+    assert named(**window) == ["/map", "/static", "/tf", "/tick"]
+    assert named(**window, topics="/static,/image") == ["/static"]
+    assert "/image" in named(start=at(5), end=at(6))
+    with rosbag.Bag(str(HUSKY)) as husky:
+        start = husky.get_start_time()
+    others = named(start=start + 5, end=start + 6)
+    assert {"/fix", "/map"} < set(others)
+    assert not {"/static", "/tick", "/image"} & set(others)
+
+
 def test_a_window_without_messages_is_told(viewer):
     (problem,) = viewer.get("/api/connections", topics="/tf", start=1.5, end=2.5)["problems"]
     assert "no message" in problem["text"] and "1970-01-01T00:00:01.5" in problem["text"]

@@ -168,21 +168,30 @@ def test_what_is_no_window_is_refused(viewer):
         assert (status, failure["error"]) == (400, "InvalidOption"), given
 
 
-def test_years_in_which_nothing_lies_divide_eras(viewer, fresh):
-    (era,) = viewer.get("/api/timeline", topics="/even")["eras"]
-    assert era == [str(EVEN[0]), str(LATE[-1])]
-    year = 365 * 86_400 * SECOND_NS
+def test_long_pauses_divide_periods(viewer, fresh):
+    (period,) = viewer.get("/api/timeline", topics="/even")["periods"]
+    assert period == [str(EVEN[0]), str(LATE[-1]), 550]
+    day = 86_400 * SECOND_NS
+    year = 365 * day
     with fresh() as store, running_viewer(store) as other:
-        assert other.get("/api/timeline")["eras"] == []
+        assert other.get("/api/timeline")["periods"] == []
         add(store, "/clock", [n * SECOND_NS for n in range(5, 9)])
-        add(store, "/clock", [9 * year + n * SECOND_NS for n in range(4)], writer=8, name="b")
+        add(store, "/clock", [year + n * SECOND_NS for n in range(7)], writer=8, name="b")
+        # Two days later there is more: so far apart both can be seen in one picture.
+        add(store, "/clock", [year + 2 * day], writer=10, name="b2")
         add(store, "/other", [20 * year, 20 * year + SECOND_NS], writer=9, name="c")
-        assert other.get("/api/timeline")["eras"] == [
-            [str(5 * SECOND_NS), str(9 * year + 3 * SECOND_NS)],
-            [str(20 * year), str(20 * year + SECOND_NS)],
+        assert other.get("/api/timeline")["periods"] == [
+            [str(5 * SECOND_NS), str(8 * SECOND_NS), 4],
+            [str(year), str(year + 2 * day), 8],
+            [str(20 * year), str(20 * year + SECOND_NS), 2],
         ]
-        (era,) = other.get("/api/timeline", topics="/other")["eras"]
-        assert era[0] == str(20 * year)
+        (period,) = other.get("/api/timeline", topics="/other")["periods"]
+        assert period[0] == str(20 * year)
+        # A message each week of a year, and ten years without one.
+        weeks = [21 * year + n * 7 * day for n in range(52)]
+        add(store, "/weekly", [*weeks, weeks[-1] + 10 * year], writer=11, name="d")
+        periods = other.get("/api/timeline", topics="/weekly")["periods"]
+        assert [messages for *_, messages in periods] == [52, 1]
 
 
 def test_an_end_alone_is_enough(viewer):

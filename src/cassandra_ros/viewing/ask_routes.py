@@ -16,7 +16,7 @@ from cassandra_ros.query.arrays.envelope import Grid, Points
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.parse import parse_select
-from cassandra_ros.query.tree.statement_completion import NameSource, complete
+from cassandra_ros.query.tree.statement_completion import MAX_OFFERS, NameSource, complete
 from cassandra_ros.query.tree.syntax import (
     All,
     Compare,
@@ -34,6 +34,7 @@ from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PIXELS, PlotW
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import NODES, RUNS, WHOLE_RANGE, ApiCall, whose_of
+from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
 from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.sql_answers import sql_plan, sql_plot, sql_rows
@@ -219,10 +220,11 @@ def completed(call: ApiCall, names: NameSource) -> dict[str, Json]:
     """Return the completions as JSON, of names that a source has."""
     text, cursor = call.text("q") or "", call.count("at")
     at = len(text) if cursor is None else cursor
+    most = listed_at_most(call)
     if is_sql(call):
-        completion = complete_sql(text, at, names.topics(), names.definitions)
+        completion = complete_sql(text, at, names.topics(), names.definitions, most)
     else:
-        completion = complete(text, at, names)
+        completion = complete(text, at, names, most)
     offers: Json = [
         {"text": offer.text, "kind": offer.kind, "note": offer.note} for offer in completion.offers
     ]
@@ -395,6 +397,9 @@ ROUTES: tuple[Route, ...] = (
         (
             Parameter("q", "text", "The statement, as far as it is typed.", default=""),
             Parameter("at", "count", "Position in characters; missing: the end."),
+            Parameter(
+                "limit", "count", f"Maximum number of offers, to {MAX_LISTED}.", default=MAX_OFFERS
+            ),
             _LANGUAGE,
         ),
     ),

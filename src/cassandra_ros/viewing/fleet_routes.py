@@ -12,7 +12,7 @@ import json
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import Callable, Dict, Iterable, Iterator, Mapping, Sequence, Union
+from typing import Callable, Collection, Dict, Iterable, Iterator, Mapping, Sequence, Union
 
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import (
@@ -294,7 +294,16 @@ def _connections(call: ApiCall, stores: FleetAnswer) -> _Told:
     topics, problems = _topics_of(call, stores)
     tables = [table for topic in topics for table in topic.tables]
     draw = partial(call.fleet.picture, stores, gone=call.gone)
-    return look_routes.connections_of(call, tables, _whose(call, stores), draw, problems)
+
+    def latched(
+        names: Collection[str], sources: frozenset[tuple[str, int]], t: int
+    ) -> Collection[str]:
+        of_store = stores.each(
+            stores.catalogs, lambda c: look_routes.latched_topics(c, names, sources, t)
+        )
+        return set().union(*of_store.values())
+
+    return look_routes.connections_of(call, tables, _whose(call, stores), draw, latched, problems)
 
 
 def _messages(call: ApiCall, stores: FleetAnswer) -> _Told:

@@ -12,7 +12,17 @@ import time
 from collections import OrderedDict
 from dataclasses import replace
 from functools import partial
-from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence, TypeVar
+from typing import (
+    Callable,
+    Collection,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    Mapping,
+    NamedTuple,
+    Sequence,
+    TypeVar,
+)
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
 from cassandra_ros.keys import SECOND_NS, decode_cursor
@@ -20,6 +30,7 @@ from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.stores.fleet.fleet_row import FleetRow
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.overview.latched_messages import LatchedFinder, Source
 from cassandra_ros.topics.overview.latest_messages import Latest
 from cassandra_ros.topics.overview.timeline.lanes import Lane, Picture, View
 from cassandra_ros.topics.stored_row import StoredRow
@@ -57,10 +68,24 @@ A publisher that starts latching is seen after this time at the latest.
 """
 
 
+LatchedOf = Callable[[Collection[str], FrozenSet[Source], int], Collection[str]]
+"""Returns which of some topics have a message that was latched by some runs before a time, ns."""
+
+
 def _connections(call: ApiCall) -> Json:
     timeline = call.cached(timeline_of)
     draw = partial(timeline.picture, gone=call.gone)
-    return connections_of(call, tables_of(call), whose_of(call), draw)
+    latched = partial(latched_topics, call.catalog)
+    return connections_of(call, tables_of(call), whose_of(call), draw, latched)
+
+
+def latched_topics(
+    catalog: Catalog, topics: Collection[str], sources: frozenset[Source], t: int
+) -> set[str]:
+    """Return which of some topics have a latched message before t of one of some runs."""
+    tables = [table for table in catalog.tables(None) if table.metadata.topic in topics]
+    finder = LatchedFinder(catalog.keyspace, tables)
+    return {row.topic for row in finder.of_sources(sources, t)} if finder.latches else set()
 
 
 def connections_of(
@@ -68,9 +93,10 @@ def connections_of(
     tables: Iterable[TopicTable],
     whose: Whose,
     draw: Callable[[View], Picture],
+    latched: LatchedOf,
     problems: Iterable[Json] = (),
 ) -> dict[str, Json]:
-    """Return as JSON the topics of a time range.
+    """Return as JSON the topics that have something to show in a time range.
 
     Args:
         tables: Tables of the topics.
@@ -95,13 +121,19 @@ def connections_of(
         ends = f"from {iso_time(window.low)} to {iso_time(window.high)}"
         text = f"there is no message of this selection {ends}; Home shows the times of messages"
         problems.append({"topic": "", "text": text})
+    there = {lane.topic for lane in lanes if lane.times[0] is not None}
+    there.update(topic for topic in shown if _is_named(shown[topic]))
+    absent = shown.keys() - there
+    if absent:
+        runs = draw(replace(view, topics=None)).runs
+        there.update(latched(absent, frozenset((run.node, run.writer) for run in runs), window.low))
     window = _cut(call, window, whole)
     return {
         "start": str(window.low),
         "end": str(window.high),
         "messages": whole.messages,
         "bytes": whole.size,
-        "topics": [_topic(topic, shown[topic], lanes) for topic in sorted(shown)],
+        "topics": [_topic(topic, shown[topic], lanes) for topic in sorted(there)],
         "problems": problems,
     }
 
@@ -260,7 +292,8 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/connections",
         _connections,
-        "The topics of a time range, their number of messages in it, and their schemas.",
+        "The topics with messages in a time range, or latched before it by a run with messages in "
+        "it, or under names; their number of messages in it, and their schemas.",
         (*_WINDOW, TIME),
     ),
     Route(

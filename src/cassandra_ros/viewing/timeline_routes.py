@@ -68,7 +68,7 @@ def shown_picture(picture: Picture, all_runs: Iterable[Run]) -> dict[str, Json]:
     return {
         "first": shown_ns(first),
         "last": shown_ns(last),
-        "eras": [[str(low), str(high)] for low, high in picture.eras],
+        "periods": [[str(low), str(high), count] for low, high, count in picture.periods],
         "start": None if scale is None else str(scale.start),
         "end": None if scale is None else str(scale.end),
         "cell_ns": None if scale is None else str(scale.step),
@@ -150,9 +150,10 @@ ROUTES: tuple[Route, ...] = (
         "`counts` has sequences of cells that are not empty: the first cell, then the count of "
         "each. `even` are ranges of three or more cells over which messages of unknown position "
         "are spread evenly; in the cells of `unknown` messages have not been counted. `gaps` are "
-        "pauses of a run between two messages. `eras` are the time ranges with messages, separated "
-        "by ten years or more without a message. If `exact` is false, messages and bytes are "
-        "estimates. The answer comes from the directory; its cost does not grow with the messages.",
+        "pauses of a run between two messages. `periods` are the time ranges with messages (first "
+        "and last time, number of messages), separated by pauses in which all of them would be a "
+        "few pixels wide, or of ten years. If `exact` is false, messages and bytes are estimates. "
+        "The answer comes from the directory; its cost does not grow with the messages.",
         (
             *WHOLE_RANGE,
             Parameter(

@@ -12,7 +12,7 @@ from cassandra_ros.client.sql.listed_tables import LISTED
 from cassandra_ros.client.sql.sql_statement import MAX_STATEMENT_CHARACTERS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.arrays.arrow_types import OWN_COLUMNS, ArrowField, ColumnNames, fields_of
-from cassandra_ros.query.tree.statement_completion import Offer, Offers
+from cassandra_ros.query.tree.statement_completion import MAX_OFFERS, Offer, Offers
 
 DefinitionsOf = Callable[[str], Sequence[Definition]]
 """Returns the definitions of a topic in any spelling; empty if it is not stored."""
@@ -43,7 +43,11 @@ _NO_ALIAS = {word.lower() for phrase in _KEYWORDS for word in phrase.split()}
 
 
 def complete_sql(
-    text: str, cursor: int, topics: Sequence[str], definitions: DefinitionsOf
+    text: str,
+    cursor: int,
+    topics: Sequence[str],
+    definitions: DefinitionsOf,
+    most: int = MAX_OFFERS,
 ) -> Offers:
     """Return the possible completions at a position of a statement.
 
@@ -52,6 +56,7 @@ def complete_sql(
         cursor: The position, 0 to the length of the text; a larger one is reduced to that.
         topics: Names of the topics.
         definitions: See DefinitionsOf.
+        most: Maximum number of offers.
     """
     cursor = max(0, min(cursor, len(text), MAX_STATEMENT_CHARACTERS))
     before = text[:cursor]
@@ -70,7 +75,7 @@ def complete_sql(
     fitting = [offer for offer in offers if _fits(offer, typed)]
     fitting.sort(key=lambda offer: not offer.text.lower().strip('"/').startswith(typed.strip("/")))
     is_complete = len(fitting) == 1 and fitting[0].text == before[start:]
-    return Offers.first(start, () if is_complete else fitting)
+    return Offers.first(start, () if is_complete else fitting, most)
 
 
 def table_text(topic: str) -> str:

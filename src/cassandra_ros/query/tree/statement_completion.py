@@ -20,7 +20,7 @@ from cassandra_ros.query.tree.parse import MAX_STATEMENT
 from cassandra_ros.query.tree.syntax import StatementError
 
 MAX_OFFERS = 200
-"""Maximum number of offers."""
+"""Usual maximum number of offers."""
 _WORD_BACKWARDS = re.compile(r"[\w./\[\]~]*")
 """Pattern for the reversed text. A forward search would start at each character of a long text."""
 _TOPIC = re.compile(r"\bfrom\s+(\"(?:[^\"]|\"\")+\"|[\w/~]+)", re.IGNORECASE)
@@ -79,12 +79,12 @@ class Offers(NamedTuple):
     """Start of the word that is replaced; it ends at the cursor."""
     offers: Sequence[Offer]
     more: int = 0
-    """Number of further ones, above MAX_OFFERS."""
+    """Number of further ones."""
 
     @classmethod
-    def first(cls, start: int, fitting: Sequence[Offer]) -> Offers:
-        """Return the first MAX_OFFERS of the fitting ones."""
-        return cls(start, tuple(fitting[:MAX_OFFERS]), max(0, len(fitting) - MAX_OFFERS))
+    def first(cls, start: int, fitting: Sequence[Offer], most: int) -> Offers:
+        """Return the first ones of the fitting ones, at most ``most``."""
+        return cls(start, tuple(fitting[:most]), max(0, len(fitting) - most))
 
 
 class NameSource(NamedTuple):
@@ -97,7 +97,7 @@ class NameSource(NamedTuple):
     runs: Callable[[], Sequence[str]]
 
 
-def complete(text: str, cursor: int, source: NameSource) -> Offers:
+def complete(text: str, cursor: int, source: NameSource, most: int = MAX_OFFERS) -> Offers:
     """Return the possible completions at a position of a statement.
 
     Args:
@@ -105,6 +105,7 @@ def complete(text: str, cursor: int, source: NameSource) -> Offers:
         cursor: The position, 0 to the length of the text (at most MAX_STATEMENT); another one is
             moved to the nearest of these.
         source: Known names.
+        most: Maximum number of offers.
     """
     cursor = max(0, min(cursor, len(text), MAX_STATEMENT))
     before = text[:cursor]
@@ -119,7 +120,7 @@ def complete(text: str, cursor: int, source: NameSource) -> Offers:
     # Names that begin with the word come first; the sort is stable, to keep fields in wire order.
     fitting.sort(key=lambda offer: not offer.text.lower().lstrip("/").startswith(word.lstrip("/")))
     complete_already = len(fitting) == 1 and fitting[0].text == before[start:]
-    return Offers.first(start, () if complete_already else fitting)
+    return Offers.first(start, () if complete_already else fitting, most)
 
 
 def _begin(before: str) -> int:

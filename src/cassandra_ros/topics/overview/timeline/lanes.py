@@ -40,6 +40,12 @@ MAX_RUNS = 2000
 """Maximum number of runs in a picture."""
 ERA_GAP_NS = 10 * 365 * 86_400 * SECOND_NS
 """Minimum time without a message between two eras, ns: ten years."""
+_DAY_NS = 86_400 * SECOND_NS
+_LEAST_PERIOD_NS = 600 * SECOND_NS
+"""Minimum length that a period counts for, ns: messages of a moment are seen, too."""
+_EMPTY_PER_FULL = 300
+"""Minimum ratio of the time between two periods to the length of all of them. A picture of 1,000
+pixels over a longer pause has some three pixels for everything that is stored."""
 
 
 @dataclass(frozen=True)
@@ -99,10 +105,11 @@ class Lane:
         return min(firsts, default=None), max(lasts, default=None)
 
     @property
-    def parts(self) -> list[tuple[Longs, Longs]]:
-        """First and last times of the time ranges and single messages of the lane, ns."""
-        times, ranges = self.keys.times, self.time_ranges
-        return [pair for pair in ((ranges.first, ranges.last), (times, times)) if len(pair[0])]
+    def parts(self) -> list[tuple[Longs, Longs, Longs]]:
+        """First and last times, ns, and counts of the time ranges and of the single messages."""
+        times = self.keys.times
+        every = self.time_ranges[:3], (times, times, np.ones(len(times), np.int64))
+        return [part for part in every if len(part[0])]
 
     @property
     def messages(self) -> int:
@@ -163,6 +170,17 @@ class RunSpan(NamedTuple):
     messages: int
 
 
+class Period(NamedTuple):
+    """A time range with messages, between long pauses."""
+
+    start: int
+    """Time of its first message, ns."""
+    end: int
+    """Time of its last message, ns."""
+    messages: int
+    """Number of its messages, as accurate as the picture."""
+
+
 class Picture(NamedTuple):
     """A timeline that was drawn."""
 
@@ -183,18 +201,38 @@ class Picture(NamedTuple):
 
         A clock that was not set begins in 1970, which makes two eras.
         """
-        parts = [pair for lane in self.lanes for pair in lane.parts]
+        return [(period.start, period.end) for period in self._divided(ERA_GAP_NS)]
+
+    @property
+    def periods(self) -> list[Period]:
+        """Time ranges of messages, in order, with so long pauses that one picture shows nothing.
+
+        The time between two of them is a day at least, and ten years, or 300 times as long as all
+        days with messages.
+        """
+        covered = sum(
+            max(period.end - period.start, _LEAST_PERIOD_NS) for period in self._divided(_DAY_NS)
+        )
+        return self._divided(min(ERA_GAP_NS, max(_DAY_NS, _EMPTY_PER_FULL * covered)))
+
+    def _divided(self, gap_ns: int) -> list[Period]:
+        """Divide the messages at each time of this length, or longer, without a message."""
+        parts = [part for lane in self.lanes for part in lane.parts]
         if not parts:
             return []
-        firsts, lasts = (np.concatenate(ends) for ends in zip(*parts))
+        firsts, lasts, messages = (np.concatenate(columns) for columns in zip(*parts))
         order = np.argsort(firsts)
         # The last time of all time ranges so far, in the order of their first times.
         firsts, reached = firsts[order], np.maximum.accumulate(lasts[order])
-        later = np.flatnonzero(firsts[1:] - reached[:-1] >= ERA_GAP_NS) + 1
+        later = np.flatnonzero(firsts[1:] - reached[:-1] >= gap_ns) + 1
         if self.scale is not None:  # a time range may begin before the window or end after it
             firsts, reached = (np.clip(t, *self.scale[:2]) for t in (firsts, reached))
         starts, ends = [0, *later.tolist()], [*(later - 1).tolist(), len(firsts) - 1]
-        return [(int(firsts[low]), int(reached[high])) for low, high in zip(starts, ends)]
+        counts = np.add.reduceat(messages[order], starts)
+        return [
+            Period(int(firsts[low]), int(reached[high]), int(count))
+            for low, high, count in zip(starts, ends, counts)
+        ]
 
     @property
     def runs(self) -> list[RunSpan]:

@@ -15,10 +15,12 @@ const language = /** @type {HTMLSelectElement} */ (document.getElementById("ask-
 const cancel = /** @type {HTMLButtonElement} */ (document.getElementById("ask-cancel"));
 const told = /** @type {HTMLElement} */ (document.getElementById("ask-told"));
 const error = /** @type {HTMLElement} */ (document.getElementById("ask-error"));
-const examples = /** @type {HTMLElement} */ (document.getElementById("ask-examples"));
+const topicList = /** @type {HTMLDetailsElement} */ (document.getElementById("ask-topics"));
+const second = /** @type {HTMLInputElement} */ (document.getElementById("plot-with"));
 const plan = /** @type {HTMLDetailsElement} */ (document.getElementById("ask-plan"));
 
 const TURN_MS = 800;
+const MOST_TOPICS = 10_000;
 /** @type {Record<string, string>} What the empty box shows, by language. */
 const SAMPLES = {
   "": "SELECT altitude FROM /fix WHERE latitude > 43.4",
@@ -51,15 +53,17 @@ function ask() {
 function show(again = false) {
   const now = state.read();
   const parameters = { q: now.q, nodes: now.nodes, runs: now.runs, language: languageOf(now) };
-  const key = JSON.stringify(parameters);
+  const also = statementOf(now.others.with ?? "");
+  const key = JSON.stringify([parameters, also]);
   const window = { start: now.start, end: now.end };
+  second.value = now.others.with ?? "";
   if (!now.q) return showNothing();
-  examples.hidden = true;
   if (!again && key === asked && plot.shows(window) && rows.shows(window)) return;
   const other = again || key !== asked;
   if (other) {
     box.text = now.q;
     setLanguage(parameters.language);
+    topicList.open = false;
   }
   asked = key;
   asking.abort();
@@ -68,7 +72,7 @@ function show(again = false) {
   const { signal } = asking;
   plan.hidden = false;
   if (other) clearPlan();
-  work(signal, other, rows.load(parameters, window, signal), plot.load(parameters, window, signal, other));
+  work(signal, other, rows.load(parameters, window, signal), plot.load(parameters, also, window, signal, other));
 }
 
 /**
@@ -124,29 +128,43 @@ function fail(problem, signal, other = false) {
   if (typeof place === "number") box.point(place);
 }
 
-/** List the topics. */
-async function showNothing() {
+/** Show the topics, without an answer. */
+function showNothing() {
   asking.abort();
   asking = new AbortController();
-  const { signal } = asking;
   rest("done");
   asked = "";
   plot.clear();
   rows.clear();
   plan.hidden = true;
-  const begin = "SELECT * FROM ";
-  const answer = await get("/api/complete", { q: begin, language: language.value }, { signal })
-    .catch((problem) => fail(problem, signal));
-  if (!answer || signal.aborted) return;
-  const topics = answer.offers.filter((/** @type {any} */ offer) => offer.kind === "topic");
-  examples.hidden = topics.length === 0;
-  examples.querySelector(".content")?.replaceChildren(
-    ...topics.map((/** @type {any} */ offer) =>
-      page.make("button", { type: "button", onclick: () => choose(begin + offer.text) }, offer.text)),
-  );
-  const hint = `… and ${answer.more.toLocaleString("en")} more: write a part of a name behind FROM, which completes it`;
-  if (answer.more) examples.querySelector(".content")?.append(page.make("span", { class: "muted more" }, hint));
+  topicList.open = true;
+}
+
+const BEGIN = "SELECT * FROM ";
+
+let listed = "";
+
+/**
+ * List all topics, as a statement of a language names them.
+ * @param {string} name
+ */
+async function listTopics(name) {
+  listed = name;
+  const answer = await get("/api/complete", { q: BEGIN, language: name, limit: MOST_TOPICS });
+  if (name !== listed) return;
+  /** @type {string[]} */
+  const topics = answer.offers.filter((/** @type {any} */ offer) => offer.kind === "topic").map((/** @type {any} */ offer) => offer.text);
+  topicList.hidden = !topics.length;
   if (!topics.length) told.textContent = "There is no topic in this keyspace yet.";
+  topicList.querySelector("summary")?.replaceChildren(`Topics: ${topics.length.toLocaleString("en")}`);
+  topicList.querySelector(".content")?.replaceChildren(...topics.map((topic) =>
+    page.make("button", { type: "button", onclick: () => choose(BEGIN + topic) }, topic)));
+  document.getElementById("plot-topics")?.replaceChildren(...topics.map((topic) => page.make("option", { value: topic })));
+}
+
+/** @param {string} text A statement, or a topic. */
+function statementOf(text) {
+  return !text.trim() || /^\s*(select|with)\s/i.test(text) ? text.trim() : BEGIN + text.trim();
 }
 
 /**
@@ -159,6 +177,7 @@ function languageOf(from) {
 
 /** @param {string} name */
 function setLanguage(name) {
+  if (topicList.hidden || name !== listed) listTopics(name).catch(fail);
   language.value = name;
   box.sample = SAMPLES[name];
 }
@@ -210,7 +229,6 @@ form.addEventListener("submit", (event) => {
 });
 language.addEventListener("change", () => {
   setLanguage(language.value);
-  if (!box.text) showNothing();
   box.focus();
 });
 cancel.addEventListener("click", () => {
@@ -219,6 +237,10 @@ cancel.addEventListener("click", () => {
 });
 plan.addEventListener("toggle", () => {
   if (plan.open) loadPlan();
+});
+second.addEventListener("change", () => {
+  state.write({ with: second.value.trim() || null }, { push: true });
+  show();
 });
 window.addEventListener("popstate", () => show());
 page.ifSeveralStores(() => {

@@ -4,10 +4,11 @@
 /**
  * The plot of a statement: for each pixel the minimum and the maximum, computed by the server.
  * One panel for each unit, all over the same time range, or over one column (`over` in the address).
- * Zooming in requests the plot of the smaller time range.
+ * With a second statement (`with`) one panel has the axes of two units. Zooming in requests the plot of the
+ * smaller time range.
  */
 
-import { get } from "./api.js";
+import { get, isAbort } from "./api.js";
 import { lookAt } from "./ask_rows.js";
 import { XY } from "./ask_xy.js";
 import { make } from "./page.js";
@@ -24,6 +25,8 @@ const MOST_IDLE = 3;
 const FEW_POINTS = 60;
 const LEAST_NS = 1000n;
 const SECOND = 1_000_000_000n;
+/** What dygraphs draws as an interruption of a line; it connects the points beside null. */
+const BROKEN = [NaN, NaN, NaN];
 
 /** @typedef {{start: bigint | null, end: bigint | null}} Window */
 
@@ -75,11 +78,12 @@ export class Plot {
   /**
    * Load the plot of a time range and draw it, more complete with each answer.
    * @param {Record<string, any>} parameters
+   * @param {string} also A second statement, whose numbers are drawn, too; "" = none.
    * @param {Window} window
    * @param {AbortSignal} signal
    * @param {boolean} other Whether the statement differs from the one before.
    */
-  async load(parameters, window, signal, other) {
+  async load(parameters, also, window, signal, other) {
     this._window = String([window.start, window.end]);
     if (other) this._hidden.clear();
     const ready = dygraphs();
@@ -87,7 +91,10 @@ export class Plot {
     // With more buckets than the viewer caches, answers may never become complete: stop here.
     let [share, edges, idle] = [-1, Infinity, 0];
     for (let first = true; idle < MOST_IDLE; first = false) {
-      const found = await get("/api/plot", { ...parameters, ...window, pixels }, { signal });
+      const one = await get("/api/plot", { ...parameters, ...window, pixels }, { signal });
+      const range = { start: window.start ?? one.start, end: window.end ?? one.end };
+      const second = also ? await get("/api/plot", { ...parameters, q: also, ...range, pixels }, { signal }).catch(reasonOf) : "";
+      const found = joined(typeof second === "string" ? [one] : [one, second], typeof second === "string" ? second : "");
       const present = await ready;
       if (signal.aborted) return;
       this._show(found, window, first && other, present);
@@ -133,46 +140,61 @@ export class Plot {
     const reasons = found.left_out.map((/** @type {any} */ each) => `${each.name} is ${each.reason}`);
     const left = names.length ? [`not drawn: ${names.join(", ")}`] : [];
     const nothing = found.times.length ? [] : ["nothing lies in this time"];
-    this._told.textContent = [...(found.how ? [found.how] : []), ...nothing, ...left].join("; ");
+    this._told.textContent = [found.problem, found.how, ...nothing, ...left].filter(Boolean).join("; ");
+    this._told.classList.toggle("loss", Boolean(found.problem));
     this._told.title = reasons.join("\n");
   }
 
-  /** Indexes of the columns in each panel, one panel for each unit. @returns {number[][]} */
-  _groups() {
-    const units = [...new Set(this._found.columns.map((/** @type {any} */ column) => column.unit))];
-    const places = [...this._found.columns.keys()].filter((place) => place !== this._xPlace());
-    return units.map((unit) => places.filter((place) => this._found.columns[place].unit === unit)).filter((places) => places.length);
+  /**
+   * Indexes of the columns of each axis of each panel. An axis has one unit; the panels of one statement have
+   * one axis, those of two statements a left and a right one.
+   * @returns {number[][][]}
+   */
+  _panelAxes() {
+    const { columns, statements } = this._found;
+    const x = this._xPlace();
+    // Over another column only those that have values at its times.
+    const places = [...columns.keys()].filter((place) => place !== x && (x < 0 || columns[place].statement === columns[x].statement));
+    const unit = (/** @type {number} */ place) => columns[place].unit || columns[place].statement;
+    const axes = [...new Set(places.map(unit))].map((each) => places.filter((place) => unit(place) === each));
+    if (x >= 0 || statements < 2) return axes.map((axis) => [axis]);
+    return axes.flatMap((axis, n) => (n % 2 ? [] : [axes.slice(n, n + 2)]));
   }
 
   /** Index of the column over which the others are drawn; -1 = over time. */
   _xPlace() {
     const over = state.read().others.over ?? "";
-    const place = this._found?.columns.findIndex((/** @type {any} */ column) => column.name === over) ?? -1;
-    return this._found?.columns.length > 1 ? place : -1;
+    return this._found?.columns.findIndex((/** @type {any} */ column) => column.name === over && this._isShared(column)) ?? -1;
+  }
+
+  /** @param {any} column Whether its statement has others, which can be drawn over it. */
+  _isShared(column) {
+    return this._found.columns.some((/** @type {any} */ other) => other !== column && other.statement === column.statement);
   }
 
   /** Fill the menu of columns over which the others can be drawn. */
   _offerColumns() {
-    const names = this._found.columns.map((/** @type {any} */ column) => column.name);
+    const names = this._found.columns.filter((/** @type {any} */ column) => this._isShared(column)).map((/** @type {any} */ column) => column.name);
     const options = names.map((/** @type {string} */ name) => make("option", { value: name }, name));
     this._over.replaceChildren(make("option", { value: "" }, "time"), ...options);
-    this._over.disabled = names.length < 2;
-    this._over.value = this._xPlace() < 0 ? "" : names[this._xPlace()];
+    this._over.disabled = !names.length;
+    this._over.value = this._found.columns[this._xPlace()]?.name ?? "";
   }
 
   /** Draw the columns over one of them. */
   _drawXY() {
-    const { columns, breaks } = this._found;
+    const { columns } = this._found;
     for (const graph of this._graphs) graph.destroy();
     this._graphs = [];
-    const groups = this._groups();
+    const groups = this._panelAxes().flat();
+    const { breaks } = columns[this._xPlace()];
     this._legends = groups.map(() => make("ul", { class: "legend" }));
     const canvases = groups.map(() => /** @type {HTMLCanvasElement} */ (make("canvas", { class: "graph xy" })));
     this._panels.replaceChildren(...canvases.flatMap((canvas, n) => [this._legends[n], canvas]));
     for (const [n, places] of groups.entries()) {
       const shownPlaces = places.filter((place) => !this._hidden.has(place));
       const ys = shownPlaces.map((place) => ({ column: columns[place], colour: COLOURS[place % COLOURS.length] }));
-      const panel = new XY(canvases[n], columns[this._xPlace()], ys, new Set(breaks));
+      const panel = new XY(canvases[n], columns[this._xPlace()], ys, breaks);
       const at = (/** @type {MouseEvent} */ event) => panel.nearest(event.offsetX, event.offsetY);
       canvases[n].addEventListener("pointermove", (event) => this._showLegend(at(event)));
       canvases[n].addEventListener("pointerleave", () => this._showLegend(null));
@@ -188,9 +210,9 @@ export class Plot {
   _draw(anew) {
     this._offerColumns();
     if (this._xPlace() >= 0) return this._drawXY();
-    const groups = this._groups();
+    const groups = this._panelAxes();
     if (!anew && this._graphs.length === groups.length) {
-      for (const [n, places] of groups.entries()) this._graphs[n].updateOptions(this._options(places));
+      for (const [n, axes] of groups.entries()) this._graphs[n].updateOptions(this._options(axes));
       return;
     }
     for (const graph of this._graphs) graph.destroy();
@@ -204,8 +226,10 @@ export class Plot {
     });
   }
 
-  /** @param {number[]} places Indexes of the columns in a panel. */
-  _options(places) {
+  /** @param {number[][]} axes Indexes of the columns of each axis of a panel. */
+  _options(axes) {
+    const places = axes.flat();
+    const [, right = []] = axes;
     const style = getComputedStyle(document.documentElement);
     const [line, muted] = ["--line", "--muted"].map((name) => style.getPropertyValue(name).trim());
     return {
@@ -219,6 +243,8 @@ export class Plot {
       strokeWidth: 1,
       drawPoints: this._times.length <= FEW_POINTS,
       drawGapEdgePoints: true,
+      connectSeparatedPoints: true,
+      series: Object.fromEntries(right.map((place) => [String(place), { axis: "y2" }])),
       pointSize: 2,
       legend: "never",
       dateWindow: [this._x(this._sight.start), this._x(this._sight.end)],
@@ -226,7 +252,7 @@ export class Plot {
       axisLineColor: muted,
       axisLabelWidth: 64,
       animatedZooms: false,
-      axes: { x: { ticker: this._ticker.bind(this) } },
+      axes: { x: { ticker: this._ticker.bind(this) }, ...(right.length && { y2: { independentTicks: true, axisLabelWidth: 64 } }) },
       zoomCallback: (/** @type {number} */ low, /** @type {number} */ high) => this._zoomed(low, high),
       highlightCallback: (/** @type {any} */ event, /** @type {number} */ x) => this._point(x),
       unhighlightCallback: () => this._showLegend(null),
@@ -238,13 +264,13 @@ export class Plot {
   /** @param {number[]} places */
   _lines(places) {
     const columns = places.map((place) => this._found.columns[place]);
-    const broken = new Set(this._found.breaks);
     /** @type {any[]} */
     const lines = [];
     for (const [n, time] of this._times.entries()) {
       const x = this._x(time);
       lines.push([x, ...columns.map((column) => bar(column.low[n], column.high ? column.high[n] : column.low[n]))]);
-      if (broken.has(n)) lines.push([(x + this._x(this._times[n + 1])) / 2, ...columns.map(() => null)]);
+      if (!columns.some((column) => column.breaks.has(n))) continue;
+      lines.push([(x + this._x(this._times[n + 1])) / 2, ...columns.map((column) => (column.breaks.has(n) ? BROKEN : null))]);
     }
     // dygraphs needs at least one row.
     return lines.length ? lines : [[0, ...columns.map(() => null)]];
@@ -293,10 +319,12 @@ export class Plot {
 
   /** @param {number | null} n Index of the selected point. */
   _showLegend(n) {
-    for (const [panel, places] of this._groups().entries()) {
-      const { unit } = this._found.columns[places[0]];
-      const items = places.map((place) => this._legendItem(place, n));
-      this._legends[panel]?.replaceChildren(...items, ...(unit ? [make("li", { class: "unit" }, unit)] : []));
+    for (const [panel, axes] of this._panelAxes().entries()) {
+      const items = axes.flatMap((places, side) => {
+        const told = [this._found.columns[places[0]].unit, axes.length > 1 ? ["← left", "right →"][side] : ""].filter(Boolean).join(", ");
+        return [...places.map((place) => this._legendItem(place, n)), ...(told ? [make("li", { class: "unit" }, told)] : [])];
+      });
+      this._legends[panel]?.replaceChildren(...items);
     }
     if (n !== null) this._moment.textContent = this._at(n);
   }
@@ -450,13 +478,52 @@ function wide(start, end) {
   return { start: start - before, end: end + SECOND / 2n };
 }
 
+/** @param {any} problem Error of the second statement, which is told beside it. @returns {string} */
+function reasonOf(problem) {
+  if (isAbort(problem)) throw problem;
+  return problem.message.split("\n")[0];
+}
+
 /**
- * @param {number | null} low
+ * Put the plots of one or two statements over the same pixels together: at a time that only the other one has, a
+ * column has no element.
+ * @param {any[]} plots Answers of /api/plot.
+ * @param {string} problem Why the second statement has no plot.
+ */
+function joined(plots, problem) {
+  const times = [...new Set(plots.flatMap((plot) => plot.times))].sort((one, other) => (BigInt(one) < BigInt(other) ? -1 : 1));
+  const places = new Map(times.map((time, place) => [time, place]));
+  const rows = new Array(times.length).fill(0);
+  const name = (/** @type {any} */ plot, /** @type {any} */ each) => ({ ...each, name: plots.length > 1 ? `${plot.topic} ${each.name}`.trim() : each.name });
+  for (const plot of plots) plot.times.forEach((/** @type {string} */ time, /** @type {number} */ n) => (rows[places.get(time) ?? 0] += plot.rows[n]));
+  const columns = plots.flatMap((plot, statement) => {
+    const spread = (/** @type {any[]} */ values) => {
+      const all = new Array(times.length);
+      values.forEach((value, n) => (all[places.get(plot.times[n]) ?? 0] = value));
+      return all;
+    };
+    const breaks = new Set(plot.breaks.map((/** @type {number} */ n) => places.get(plot.times[n])));
+    return plot.columns.map((/** @type {any} */ column) => (
+      { ...name(plot, column), statement, breaks, low: spread(column.low), high: column.high && spread(column.high) }));
+  });
+  return {
+    ...plots[0], times, rows, columns, problem, statements: plots.length,
+    left_out: plots.flatMap((plot) => plot.left_out.map((/** @type {any} */ each) => name(plot, each))),
+    complete: plots.every((plot) => plot.complete),
+    share: Math.min(...plots.map((plot) => plot.share)),
+    edges: plots.reduce((sum, plot) => sum + plot.edges, 0),
+    how: [...new Set(plots.map((plot) => plot.how))].filter(Boolean).join("; "),
+  };
+}
+
+/**
+ * @param {number | null | undefined} low null = not a number; undefined = there is no message.
  * @param {number | null} high
  */
 function bar(low, high) {
+  if (low === undefined) return null;
   // The line follows the maxima: a value in the middle was never measured.
-  return low === null || high === null ? null : [low, high, high];
+  return low === null || high === null ? BROKEN : [low, high, high];
 }
 
 /**
@@ -464,7 +531,9 @@ function bar(low, high) {
  * @param {number} n
  */
 function range(column, n) {
-  const low = column.low[n];
+  // Between its times a column has the value before.
+  while (n > 0 && column.low[n] === undefined) n -= 1;
+  const low = column.low[n] ?? null;
   const high = column.high ? column.high[n] : low;
   if (low === null) return "–";
   return low === high ? String(low) : `${low} … ${high}`;

@@ -17,8 +17,8 @@ const DEGREES = ["°E", "°N"];
 
 /** @param {Column} column @param {number} n @returns {[number, number] | null} */
 function ends(column, n) {
-  const low = column.low[n];
-  const high = column.high ? column.high[n] : low;
+  const low = column.low[n] ?? null;
+  const high = column.high ? column.high[n] ?? null : low;
   return low === null || high === null ? null : [low, high];
 }
 

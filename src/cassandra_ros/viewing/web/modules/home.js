@@ -28,7 +28,7 @@ const { make } = page;
 page.start("Home");
 
 const selection = make("div", { class: "row", id: "selection" });
-const erasPlace = make("span", { class: "row tight", id: "eras", role: "group", "aria-label": "Eras" });
+const periodsPlace = make("nav", { id: "periods", "aria-label": "Times with messages", hidden: true });
 const summary = make("span", { class: "muted", id: "summary", role: "status" });
 const chosen = make("span", { class: "mono", id: "chosen" });
 const links = make("div", { class: "row", id: "links" });
@@ -37,7 +37,8 @@ const tip = make("div", { class: "tip", hidden: true });
 const box = make("div", { class: "timeline-box" }, canvas, tip);
 const tables = make("section", { class: "panel tables", id: "tables" });
 const panel = make("section", { class: "panel timeline-panel" },
-  make("header", {}, selection, zoomButtons(), erasPlace, summary, make("div", { class: "row push" }, chosen, links)),
+  make("header", {}, selection, zoomButtons(), summary, make("div", { class: "row push" }, chosen, links)),
+  periodsPlace,
   box,
   make("p", { class: "keys muted" }, "Wheel: zoom · drag: select · Shift and drag, or drag the axis: move · keys ",
     ...["+", "−", "←", "→", "Home", "Enter", "Esc", "E"].flatMap((key) => [make("kbd", {}, key), " "])),
@@ -62,8 +63,11 @@ let undrawn = { events: false, marks: false };
 let updateEvents = () => {};
 /** Whether the viewer shows several stores, of which it sends no files. */
 let severalStores = false;
-/** @type {import("./timeline.js").Span[]} Time ranges with messages, separated by ten years or more. */
-let eras = [];
+/** @typedef {import("./timeline.js").Span & {messages: number}} Period */
+/** @type {Period[]} Time ranges with messages, separated by long pauses. */
+let periods = [];
+/** @type {Period | null | undefined} The period that is shown; null = all of them, undefined = there is none yet. */
+let period;
 let updateTopics = (/** @type {any[]} */ lanes) => {};
 /** @type {number | undefined} */
 let waiting;
@@ -89,19 +93,19 @@ async function load({ again: known = false } = {}) {
   ]);
   const before = keysOf(whole);
   whole = answer;
-  timeline.picture.take(await ofEra(answer, choice, known, signal), { all: true, whole: true });
-  timeline.picture.takeMarks(marks.marks);
+  timeline.picture.take(await ofPeriod(answer, choice, known, signal), { all: true, whole: true });
+  takeMarks(marks.marks);
   timeline.picture.takeEvents(events.events);
   manyEvents = events.more;
   manyMarks = marks.left_off > 0;
   undrawn = { events: manyEvents, marks: manyMarks };
-  timeline.update();
-  box.style.height = `${timeline.wanted}px`;
   const nothing = !timeline.picture.lanes.length;
   panel.hidden = tables.hidden = nothing;
   empty.hidden = !nothing;
   if (!known) showWindow();
   else if (following) timeline.show(timeline.whole);
+  timeline.update();
+  box.style.height = `${timeline.wanted}px`;
   if (nothing) await explain();
   if (known && keysOf(whole) !== before) await loadTables();
   else if (known) updateTopics((await askAll()).lanes);
@@ -111,51 +115,87 @@ async function load({ again: known = false } = {}) {
 }
 
 /**
- * Return the answer for the visible era; with one era that for all time.
+ * Return the answer for the period that is shown, without robots that have no messages in it.
  * @param {any} answer Answer for all time.
  * @param {import("./api.js").Parameters} choice
- * @param {boolean} known Whether the era is that of the visible time range.
+ * @param {boolean} known Whether a period is shown already.
  * @param {AbortSignal} signal
  */
-async function ofEra(answer, choice, known, signal) {
-  eras = answer.eras.map((/** @type {string[]} */ [start, end]) => ({ start: BigInt(start), end: BigInt(end) }));
-  const { start: asked, time } = state.read();
-  const { start, end } = timeline.view;
-  const era = eraOf(known ? (start + end) / 2n : asked ?? time);
-  showEras(era);
-  if (eras.length < 2 || !era) return answer;
-  const found = await api.get("/api/timeline", { ...choice, ...era, pixels: cellsOf(1) }, { signal });
+async function ofPeriod(answer, choice, known, signal) {
+  periods = answer.periods.map((/** @type {any[]} */ [start, end, messages]) => ({ start: BigInt(start), end: BigInt(end), messages }));
+  period = periodOf(known);
+  showPeriods();
+  let found = answer;
+  if (periods.length > 1 && period) {
+    const { start, end } = period;
+    found = await api.get("/api/timeline", { ...choice, start, end, pixels: cellsOf(1) }, { signal });
+    found = { ...found, first: String(start), last: String(end) };
+  }
+  const robots = new Set(found.lanes.filter((/** @type {any} */ lane) => lane.first !== null).map((/** @type {any} */ lane) => lane.node));
   // A part of the time also has lanes of robots whose messages were deleted.
   const there = new Set(answer.lanes.map((/** @type {any} */ lane) => keyOf(lane.topic, lane.node)));
-  const lanes = found.lanes.filter((/** @type {any} */ lane) => there.has(keyOf(lane.topic, lane.node)));
-  return { ...found, lanes, first: String(era.start), last: String(era.end) };
+  const lanes = found.lanes.filter((/** @type {any} */ lane) => there.has(keyOf(lane.topic, lane.node)) && (!robots.size || robots.has(lane.node)));
+  return { ...found, lanes };
 }
 
 /**
- * Return the era that contains a time or is nearest to it; null = the last one.
- * @param {bigint | null} moment
+ * Return the period to show: that of the address, or what has become of the shown one; without a time
+ * the one with most messages. null = all of them, because the time range of the address has several.
+ * @param {boolean} known Whether a period is shown already.
  */
-function eraOf(moment) {
-  if (moment === null) return eras.at(-1);
-  const away = (/** @type {import("./timeline.js").Span} */ { start, end }) => (moment < start ? start - moment : moment > end ? moment - end : 0n);
-  return eras.reduce((best, era) => (away(era) < away(best) ? era : best), eras[0]);
+function periodOf(known) {
+  if (known && period === null) return null;
+  const { start, end, time } = state.read();
+  const [low, high] = known && period ? [period.start, period.end] : [start ?? time ?? end, end ?? time ?? start];
+  if (low === null || high === null) return usualPeriod();
+  const inside = periods.filter((each) => each.start <= high && each.end >= low);
+  if (inside.length > 1) return null;
+  const away = (/** @type {Period} */ each) => (low < each.start ? each.start - low : low - each.end);
+  return inside[0] ?? [...periods].sort((one, other) => (away(one) < away(other) ? -1 : 1))[0];
 }
 
-/**
- * Add links to the eras if there are several.
- * @param {import("./timeline.js").Span | undefined} current
- */
-function showEras(current) {
-  const buttons = eras.map((era) => {
-    const text = [...new Set([era.start, era.end].map((ns) => iso(ns).slice(0, 4)))].join("–");
-    const title = `${shown(era.start)} to ${shown(era.end)}: no messages for ten years or more before or after it`;
-    const onclick = () => {
-      state.write({ start: era.start, end: era.end, time: null, selection: null }, { push: true });
-      load().catch(failed);
-    };
-    return make("button", { type: "button", title, "aria-pressed": String(era === current), onclick }, text);
-  });
-  erasPlace.replaceChildren(...(eras.length < 2 ? [] : buttons.flatMap((button, n) => (n ? ["//", button] : [button]))));
+/** @returns {Period | undefined} The period with most messages, the last one of equals. */
+function usualPeriod() {
+  const most = Math.max(...periods.map((each) => each.messages));
+  return periods.filter((each) => each.messages === most).at(-1);
+}
+
+/** Offer the periods if there are several: the ones before and after on their sides, all in a menu. */
+function showPeriods() {
+  periodsPlace.hidden = periods.length < 2;
+  if (periodsPlace.hidden) return;
+  const at = period ? periods.indexOf(period) : -1;
+  const button = (/** @type {number} */ n, /** @type {string} */ before, /** @type {string} */ after) => (
+    make("button", { type: "button", onclick: () => showPeriod(periods[n]) }, before, told(periods[n]), after));
+  const menu = make("select", { "aria-label": "Time with messages" },
+    ...periods.map((each, n) => make("option", { value: String(n), selected: n === at }, told(each))),
+    make("option", { value: "-1", selected: at < 0 }, `all ${periods.length} periods`));
+  menu.addEventListener("change", () => showPeriod(periods[Number(menu.value)] ?? null));
+  periodsPlace.replaceChildren(
+    at > 0 ? button(at - 1, "◀ ", "") : make("span"), menu,
+    at >= 0 && at < periods.length - 1 ? button(at + 1, "", " ▶") : make("span"));
+}
+
+/** @param {Period} each */
+function told({ start, end, messages }) {
+  const days = [...new Set([start, end].map((ns) => iso(ns).slice(0, 10)))].join(" to ");
+  return `${days}: ${plural(messages, "message")}`;
+}
+
+/** @param {Period | null} wanted null = all of them. */
+function showPeriod(wanted) {
+  const { start } = wanted ?? periods[0];
+  const { end } = wanted ?? periods[periods.length - 1];
+  const usual = wanted === usualPeriod();
+  clearTimeout(writing);
+  state.write({ start: usual ? null : start, end: usual ? null : end, time: null, selection: null }, { push: true });
+  load().catch(failed);
+}
+
+/** @param {any[]} marks Only those in the period make rows of lost topics. */
+function takeMarks(marks) {
+  const { start, end } = (periods.length > 1 && period) || { start: 0n, end: LAST };
+  timeline.picture.takeMarks(marks.filter((mark) => BigInt(mark.start) <= end && BigInt(mark.end) >= start));
 }
 
 /** Request the visible time range when the user has stopped changing it. */
@@ -189,14 +229,16 @@ async function askWindow(detail) {
     manyEvents ? askEvents({ start: from, end: to }, signal) : null,
     manyMarks ? api.get("/api/marks", { ...choice, start: from, end: to }, { signal }) : null,
   ]);
-  if (marks) timeline.picture.takeMarks(marks.marks);
+  if (marks) takeMarks(marks.marks);
   if (events) timeline.picture.takeEvents(events.events);
   undrawn = { events: events?.more ?? false, marks: marks?.left_off > 0 };
   tell();
   const { runs: known } = timeline.picture;
   timeline.picture.take(answer, { topics, nodes });
   timeline.picture.runs = known;
-  timeline.redraw();
+  timeline.update();
+  // Other rows may be visible now, of which less is known.
+  if (many && timeline.seen.some((lane) => !names.includes(lane.topic))) return ask();
   canvas.setAttribute("aria-label", timeline.describe());
   const coarse = answer.lanes.some((/** @type {any} */ lane) => lane.even.length || lane.unknown.length || !lane.exact);
   if (detail || !coarse) return settled();
@@ -291,7 +333,7 @@ function note() {
 
 timeline.addEventListener("view", () => {
   const all = timeline.whole;
-  following = timeline.view.start <= all.start && timeline.view.end >= all.end;
+  following = timeline.view.start <= all.start && timeline.view.end >= all.end && period === usualPeriod();
   if (whole?.first) note();
   ask();
 });
@@ -344,7 +386,7 @@ state.onChange(() => {
   load().catch(failed);
 });
 window.addEventListener("popstate", () => {
-  if (eras.length > 1) return void load().catch(failed);
+  if (periods.length > 1) return void load().catch(failed);
   showWindow();
   ask();
 });
@@ -372,7 +414,7 @@ function tell() {
   chosen.title = span ? "Selected time range" : "Visible time range";
   const window_ = { start, end };
   const inside = moment !== null && start <= moment && moment <= end ? moment : start;
-  const lane = timeline.lane ?? picture.lanes[0];
+  const lane = timeline.lane ?? timeline.lanes[0];
   const bounds = lane && ["manual", "hash"].includes(lane.foundBy) ? "" : ` where KEY >= ${start} and KEY <= ${end}`;
   const q = lane && `select * from ${quoted(lane.topic)}${bounds} limit 1000`;
   const files = [
@@ -435,11 +477,11 @@ async function loadTables() {
     askAll(),
     api.get("/api/runs", { limit: MOST_RUNS }),
   ]);
-  const distinct = (/** @type {string} */ name) => [...new Set(all.lanes.map((/** @type {any} */ lane) => lane[name]))].filter(Boolean);
+  const distinct = (/** @type {string} */ name, lanes = all.lanes) => [...new Set(lanes.map((/** @type {any} */ lane) => lane[name]))].filter(Boolean);
   page.addSelection(selection, {
     runs: listed.runs.map((/** @type {any} */ run) => ({ value: String(run.id), text: run.run })),
     moreRuns: listed.left_off,
-    nodes: distinct("node").map((value) => ({ value })),
+    nodes: distinct("node", all.lanes.filter((/** @type {any} */ lane) => lane.first !== null)).map((value) => ({ value })),
     topics: distinct("topic").map((value) => ({ value })),
   });
   const spans = new Map(all.runs.map((/** @type {any} */ run) => [run.id, run]));

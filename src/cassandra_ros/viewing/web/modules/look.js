@@ -37,8 +37,12 @@ function open() {
 /** @param {MessageEvent} event */
 function told(event) {
   if (!frame || event.source !== frame.contentWindow || event.origin !== location.origin) return;
-  const { time, layout, error, note, ready } = event.data;
-  if (error !== undefined) page.showError(new Error(error));
+  const { time, layout, error, note, ready, range } = event.data;
+  if (range !== undefined) addMenus(range).catch(page.showError);
+  if (error !== undefined) {
+    page.showError(new Error(error));
+    if (!menus.childElementCount) addMenus(state.read()).catch(page.showError);
+  }
   if (note !== undefined) page.showNote(note);
   if (time !== undefined) later({ time });
   if (layout !== undefined) later({ layout: layout || null });
@@ -96,29 +100,32 @@ function openLater() {
   choosing = window.setTimeout(open, CHOOSING_MS);
 }
 
-async function addMenus() {
-  const place = page.make("div", { class: "row" });
-  document.querySelector("#head nav")?.after(place);
-  const [{ topics }, { runs, left_off: moreRuns }] = await Promise.all([
-    get("/api/topics", { counts: "0" }),
-    get("/api/runs", { counts: "0" }),
-  ]);
-  const nodes = [...new Set(runs.map((/** @type {any} */ run) => run.node).filter(Boolean))].sort();
-  page.addSelection(place, {
-    topics: topics.map((/** @type {any} */ each) => ({ value: each.topic, text: `${each.topic} (${each.types.join(", ")})` })),
-    runs: runs.map((/** @type {any} */ each) => ({ value: String(each.id), text: each.run })),
-    moreRuns,
-    nodes: nodes.map((value) => ({ value })),
+const menus = page.make("div", { class: "row" });
+
+/**
+ * Offer the topics, robots and runs that have messages in a time range, and the topics under names.
+ * @param {{start: bigint | null, end: bigint | null}} range null = open.
+ */
+async function addMenus({ start, end }) {
+  /** @type {{lanes: any[], runs: any[]}} */
+  const { lanes, runs } = await get("/api/timeline", { start, end, pixels: 1 });
+  const there = lanes.filter((lane) => lane.first !== null || lane.key === "manual");
+  const types = new Map(there.map((lane) => [lane.topic, lane.types.join(", ")]));
+  page.addSelection(menus, {
+    topics: [...types].sort().map(([value, of]) => ({ value, text: `${value} (${of})` })),
+    runs: runs.map((each) => ({ value: String(each.id), text: each.run })),
+    nodes: [...new Set(there.map((lane) => lane.node))].filter(Boolean).map((value) => ({ value })),
   });
 }
 
 page.start("Look");
 window.addEventListener("message", told);
-addMenus().catch(page.showError);
+document.querySelector("#head nav")?.after(menus);
 get("/api/studio").then(({ installed }) => {
   if (!installed) {
     explain();
     state.onChange(explain);
+    addMenus(state.read()).catch(page.showError);
   } else {
     open();
     state.onChange(openLater);

@@ -216,6 +216,9 @@ export function takeKeys(element) {
  * @param {number} [more] Number of entries that are left out.
  */
 function menu(name, title, choices, more = 0) {
+  // What the address names can be left out again, although it has nothing to offer here.
+  const others = state.read()[name].filter((value) => !choices.some((each) => each.value === value));
+  choices = [...choices, ...others.map((value) => ({ value }))];
   const summary = make("summary");
   const list = make("ul");
   const boxes = choices.map((choice) => {

@@ -4,7 +4,7 @@
 /**
  * The Studio in its own page, which Look shows in a frame: so its styles, and the parameters that it
  * adds to the address, do not affect Look. Its address has the state of Look, to which it sends
- * changes: `{time}`, `{layout}`, `{error}`, `{note}`, `{ready}`.
+ * what is in it: `{range}`, and changes: `{time}`, `{layout}`, `{error}`, `{note}`, `{ready}`.
  */
 
 import * as state from "./state.js";
@@ -168,7 +168,11 @@ async function start() {
   prepare();
   const asked = state.read();
   const source = new StoreSource(asked, showError, (note) => tell({ note }));
-  const [found] = await Promise.all([source.open(), loadStudio()]);
+  const opened = source.open().then((found) => {
+    tell({ range: { start: source.start, end: source.end } });
+    return found;
+  });
+  const [found] = await Promise.all([opened, loadStudio()]);
   if (!found.topics.length) return; // a note says why
   const time = asked.time ?? source.start;
   const layouts = new Layouts(await chooseLayout(asked.layout, source), keepLayout);

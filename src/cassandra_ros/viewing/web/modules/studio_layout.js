@@ -19,6 +19,11 @@ const SHAPES = [
   "geometry_msgs/PolygonStamped",
 ];
 const IMAGES = ["sensor_msgs/CompressedImage", "sensor_msgs/Image"];
+const POSITIONS = ["sensor_msgs/NavSatFix"];
+/** Types whose numbers are no measurements over time. */
+const NO_CURVES = [...TRANSFORMS, ...MAPS, ...CLOUDS, ...SHAPES, ...IMAGES, "sensor_msgs/CameraInfo", "rosgraph_msgs/Log"];
+/** An image of one pixel that is transparent: a map without it would ask other servers for tiles. */
+const NO_TILES = "data:image/gif;base64,R0lGODlhAQABAAAAACH5BAEKAAEALAAAAAABAAEAAAICTAEAOw==";
 /** @type {[string, string[]][]} */
 const NUMBERS = ["Float32", "Float64", "Int32", "UInt32", "Int16"].map((name) => [`std_msgs/${name}`, ["data"]]);
 /**
@@ -36,6 +41,8 @@ const CURVES = new Map([
   ["sensor_msgs/NavSatFix", ["altitude"]],
   ...NUMBERS,
 ]);
+const FLOATS = ["float32", "float64"];
+const INTEGERS = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"];
 const MOST_IMAGES = 3;
 const MOST_CURVES = 4;
 const FOLLOWED_SEC = 30;
@@ -44,19 +51,19 @@ const MOST_CLOUDS = 6;
 const MOST_PACKED = 5000;
 
 /**
- * Make a layout with a 3D panel, cameras, curves and a raw message, as far as topics exist.
- * @param {Topic[]} topics
+ * Make a layout of what there is: a 3D panel of what has frames, cameras, a map of positions, curves of
+ * numbers, and a raw message.
+ * @param {Topic[]} topics Topics with something to show.
  * @param {boolean} following Whether curves show only the last played messages, because all are too many.
  * @returns {Layout}
  */
 export function layoutOf(topics, following) {
-  const present = topics.filter((topic) => topic.messages > 0 || [...MAPS, ...TRANSFORMS].includes(topic.type));
   /** @type {Record<string, any>} */
   const configById = {};
-  const space = addSpace(present, configById);
-  const cameras = addCameras(present, configById);
-  const texts = [...addCurves(present, configById, following), ...addTexts(present, configById)];
-  const above = split("row", [space, split("column", cameras)], 68);
+  const space = addSpace(topics, configById);
+  const others = [...addCameras(topics, configById), ...addMap(topics, configById)];
+  const texts = [...addCurves(topics, configById, following), ...addTexts(topics, configById)];
+  const above = space ? split("row", [space, split("column", others)], 68) : split("row", others);
   return whole(split("column", [above, split("row", texts)], 68), configById);
 }
 
@@ -134,11 +141,37 @@ function addCameras(topics, configById) {
   });
 }
 
+/** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
+function addMap(topics, configById) {
+  if (!ofTypes(topics, POSITIONS).length) return [];
+  configById["map!positions"] = { layer: "custom", customTileUrl: NO_TILES, zoomLevel: 17, disabledTopics: [],
+    followTopic: "", topicColors: {} };
+  return ["map!positions"];
+}
+
+/**
+ * Return the paths of the numbers in a message, outside of arrays.
+ * @param {Topic} topic
+ * @param {string[]} types Types of the numbers.
+ */
+function numbersOf({ topic, schema }, types) {
+  /** @type {(type: string, path: string) => string[]} */
+  const within = (type, path) => schema.types[type].flatMap((/** @type {any} */ field) => {
+    if (field.isConstant || field.isArray || field.type === "std_msgs/Header") return [];
+    if (field.isComplex) return within(field.type, `${path}.${field.name}`);
+    return types.includes(field.type) ? [`${path}.${field.name}`] : [];
+  });
+  return within(schema.root, topic);
+}
+
 /** @param {Topic[]} topics @param {Record<string, any>} configById @param {boolean} following @returns {Node[]} */
 function addCurves(topics, configById, following) {
-  const paths = [...CURVES].flatMap(([type, fields]) =>
+  const usual = [...CURVES].flatMap(([type, fields]) =>
     ofTypes(topics, [type]).flatMap((topic) => fields.map((field) => `${topic.topic}.${field}`)));
-  if (!paths.length) return [];
+  const others = topics.filter((topic) => !NO_CURVES.includes(topic.type));
+  const paths = [usual, ...[FLOATS, INTEGERS].map((types) => others.flatMap((topic) => numbersOf(topic, types)))]
+    .find((each) => each.length);
+  if (!paths) return [];
   configById["Plot!curves"] = {
     paths: paths.slice(0, MOST_CURVES).map((value) => ({ value, enabled: true, timestampMethod: "receiveTime" })),
     showXAxisLabels: true, showYAxisLabels: true, showLegend: true, legendDisplay: "top",

@@ -33,7 +33,8 @@ const MOST_TEXTS = 5000;
 
 /**
  * @typedef {{kind: "robot", node: string, y: number}
- *   | {kind: "lane", lane: import("./timeline_data.js").Lane, y: number}} Line
+ *   | {kind: "lane", lane: import("./timeline_data.js").Lane, busy: boolean, y: number}} Line
+ * busy: whether it has something in the visible time range.
  */
 
 /**
@@ -89,23 +90,32 @@ export class Timeline extends EventTarget {
     this.listen();
   }
 
-  /** Lay out the picture again and draw it. */
+  /** Lay out the picture again and draw it: what has nothing in the visible time range below the others. */
   update() {
     this.lines = [];
     let y = 0;
     let node = null;
-    for (const lane of this.picture.lanes) {
+    const { start, end } = this.view;
+    const busy = new Set(this.picture.lanes.filter((lane) => lane.isIn(start, end)));
+    const nodes = [...new Set([...[...busy].map((lane) => lane.node), ...this.picture.lanes.map((lane) => lane.node)])];
+    const rank = (/** @type {import("./timeline_data.js").Lane} */ lane) => 2 * nodes.indexOf(lane.node) + Number(!busy.has(lane));
+    for (const lane of this.picture.lanes.sort((one, other) => rank(one) - rank(other))) {
       if (lane.node !== node) {
         node = lane.node;
         this.lines.push({ kind: "robot", node, y });
         y += ROW;
       }
-      this.lines.push({ kind: "lane", lane, y });
+      this.lines.push({ kind: "lane", lane, busy: busy.has(lane), y });
       y += ROW;
     }
     this.layOut();
     this.scrollTo(this.scrolled);
     this.redraw();
+  }
+
+  /** @returns {import("./timeline_data.js").Lane[]} Lanes of all rows, in order. */
+  get lanes() {
+    return this.lines.flatMap((line) => (line.kind === "lane" ? [line.lane] : []));
   }
 
   /** @returns {import("./timeline_data.js").Lane[]} Lanes of the visible rows. */
@@ -399,7 +409,7 @@ export class Timeline extends EventTarget {
     for (const line of this.lines.filter((each) => this.isSeen(each))) {
       const y = TOP + line.y - this.scrolled;
       if (line.kind === "robot") this.drawRobot(pen, line.node, y);
-      else this.drawLane(pen, line.lane, y);
+      else this.drawLane(pen, line.lane, line.busy, y);
     }
     this.drawScrollbar(pen);
     this.drawSpan(pen);
@@ -529,8 +539,8 @@ export class Timeline extends EventTarget {
     this.drawName(pen, node || "runs", y, true);
   }
 
-  /** @param {CanvasRenderingContext2D} pen @param {import("./timeline_data.js").Lane} lane @param {number} y */
-  drawLane(pen, lane, y) {
+  /** @param {CanvasRenderingContext2D} pen @param {import("./timeline_data.js").Lane} lane @param {boolean} busy @param {number} y */
+  drawLane(pen, lane, busy, y) {
     const base = y + (ROW + BAR) / 2;
     const { names, width } = this.size;
     pen.fillStyle = this.colours.line;
@@ -544,7 +554,7 @@ export class Timeline extends EventTarget {
       const [from, to] = [Math.max(names, this.xOf(loss.start)), Math.min(width, this.xOf(loss.end))];
       if (to >= names && from <= width) pen.fillRect(from - 1, base - 3, Math.max(3, to - from), 5);
     }
-    this.drawName(pen, lane.topic, y, false);
+    this.drawName(pen, lane.topic, y, false, busy ? this.colours.text : this.colours.muted);
     if (lane.writing) {
       pen.fillStyle = this.colours.loss;
       pen.beginPath();
@@ -587,12 +597,12 @@ export class Timeline extends EventTarget {
     }
   }
 
-  /** @param {CanvasRenderingContext2D} pen @param {string} text @param {number} y @param {boolean} heading */
-  drawName(pen, text, y, heading) {
+  /** @param {CanvasRenderingContext2D} pen @param {string} text @param {number} y @param {boolean} heading @param {string} colour */
+  drawName(pen, text, y, heading, colour = this.colours.muted) {
     const { names } = this.size;
     pen.fillStyle = heading ? this.colours.raised : this.colours.surface;
     pen.fillRect(0, y, names - 1, ROW);
-    pen.fillStyle = heading ? this.colours.muted : this.colours.text;
+    pen.fillStyle = colour;
     pen.textAlign = "left";
     this.fitted(pen, text, heading ? 10 : 14, y + ROW / 2, names - (heading ? 18 : 32));
   }

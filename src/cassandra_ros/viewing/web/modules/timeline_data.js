@@ -52,6 +52,12 @@ export class Lane {
     this.unknown = [];
     /** @type {[bigint, bigint][]} */
     this.gaps = [];
+    /** @type {[bigint, bigint][]} Time ranges of cells that are not empty. */
+    this.filled = [];
+    /** @type {Scale | null} Scale of all time. */
+    this.all = null;
+    /** @type {[bigint, bigint][]} Time ranges of its cells that are not empty. */
+    this.coarse = [];
     /** @type {Loss[]} */
     this.losses = [];
   }
@@ -73,8 +79,10 @@ export class Lane {
     this.bytes = said.bytes;
     this.exact = said.exact;
     this.writing = said.writing;
+    const filled = filledOf(said, scale);
+    if (keep) [this.all, this.coarse] = [scale, filled];
     if (keep && this.scale) return;
-    this.scale = scale;
+    [this.scale, this.filled] = [scale, filled];
     this.counts = new Float64Array(scale?.cells ?? 0);
     for (const [first, ...counts] of said.counts ?? []) this.counts.set(counts, first);
     this.most = this.counts.reduce((most, count) => Math.max(most, count), 0);
@@ -90,6 +98,21 @@ export class Lane {
     this.even = [];
     this.unknown = [];
     this.gaps = [];
+  }
+
+  /**
+   * Return whether messages, or losses, are known in a time range.
+   * @param {bigint} start
+   * @param {bigint} end
+   */
+  isIn(start, end) {
+    const meets = (/** @type {[bigint, bigint]} */ [low, high]) => low <= end && high >= start;
+    if (this.losses.some((loss) => meets([loss.start, loss.end]))) return true;
+    if (!this.scale || !this.all || !this.coarse.some(meets)) return false;
+    // Cells of a view are finer than those of all time, but end with the view.
+    const [first, last] = [this.scale.start, endOf(this.scale)];
+    const [low, high] = [this.all.start > start ? this.all.start : start, endOf(this.all) < end ? endOf(this.all) : end];
+    return first > low || last < high || this.filled.some(meets);
   }
 
   /** @param {bigint} ns @returns {number} Index of the cell of a time; -1 = outside. */
@@ -110,6 +133,23 @@ export class Lane {
     const cell = this.cellOf(ns);
     return this.even.some(([first, last]) => first <= cell && cell <= last);
   }
+}
+
+/** @param {Scale} scale */
+function endOf({ start, step, cells }) {
+  return start + step * BigInt(cells) - 1n;
+}
+
+/**
+ * @param {any} said A lane of an answer.
+ * @param {Scale | null} scale
+ * @returns {[bigint, bigint][]}
+ */
+function filledOf(said, scale) {
+  if (!scale) return [];
+  const runs = (said.counts ?? []).map((/** @type {number[]} */ [first, ...counts]) => [first, first + counts.length - 1]);
+  const at = (/** @type {number} */ cell) => scale.start + scale.step * BigInt(cell);
+  return [...runs, ...(said.unknown ?? [])].map(([first, last]) => [at(first), at(last + 1) - 1n]);
 }
 
 /** @param {string} topic @param {string} node */
