@@ -15,8 +15,9 @@ import chromium
 import pytest
 import rosbag
 from browser import patrol
-from browser.looking import HUSKY, HUSKY_TOPICS, Viewer, unable
+from browser.looking import BUSY, HUSKY, HUSKY_TOPICS, LATER, Viewer, unable
 from nodes.children import PROGRAMS, Child
+from std_msgs.msg import Float64
 
 from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.viewing.studio import studio_folder, studio_installed
@@ -98,3 +99,20 @@ def studio():
     """Skip the test, or fail in CI, if the Studio's packages are not installed."""
     if not studio_installed(studio_folder()):
         unable(f"no Studio in {studio_folder()}", "make setup could not fetch it")
+
+
+@pytest.fixture
+def bags(keyspaces, connect):
+    """A keyspace with 10 s of 1970, from before a clock was set, 40 s of 2017 and 20 s of 2026.
+
+    In 2017 the robot r2 sends /first, then both robots another topic; in 1970 it is r3.
+    """
+    topics = [("/clock", "r3", 5, 10), ("/first", "r2", BUSY, 20), ("/later", "r2", BUSY + 20, 20)]
+    topics += [("/other", "r1", BUSY + 20, 20), ("/clock", "r1", LATER, 20)]
+    with keyspaces.lend() as name:
+        with connect(keyspace=name) as rosCas:
+            for topic, node, begin, seconds in topics:
+                stored_topic = rosCas.addTopic(topic, msg_type="std_msgs/Float64", nodeID=node)
+                for n in range(seconds):
+                    stored_topic.addData(Float64(n), (begin + n) * 10**9)
+        yield name

@@ -19,6 +19,10 @@ from PIL import Image
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
 HUSKY_TOPICS = ["/tf", "/fix", "/imu/data", "/encoder", "/rosout"]
+BUSY = 1_500_000_000
+"""A second of 2017."""
+LATER = 1_767_225_600
+"""The first second of 2026."""
 HUSKY_START, HUSKY_END = 1368021980018130437, 1368022017990698933
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rosbag
 from browser import patrol
-from browser.looking import HUSKY_END, HUSKY_START, near, pixels
+from browser.looking import BUSY, HUSKY_END, HUSKY_START, LATER, near, pixels
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from std_msgs.msg import Float64
@@ -21,8 +21,6 @@ CANVAS = "#timeline"
 TOP, ROW = 60, 24
 """Where the rows begin, and how high one is, pixels."""
 ROOM_NS = 10**9
-LATER = 1_767_225_600
-"""The first second of 2026."""
 
 
 class Home:
@@ -161,27 +159,6 @@ def test_a_window_is_chosen_by_wheel_drag_and_keys_and_leads_on(page, tmp_path):
     assert int(chosen["start"][0]) <= min(times) <= max(times) <= int(chosen["end"][0])
 
 
-BUSY = 1_500_000_000
-"""A second of 2017."""
-
-
-@pytest.fixture
-def bags(keyspaces, connect):
-    """A keyspace with 10 s of 1970, from before a clock was set, 40 s of 2017 and 20 s of 2026.
-
-    In 2017 the robot r2 sends /first, then both robots another topic; in 1970 it is r3.
-    """
-    topics = [("/clock", "r3", 5, 10), ("/first", "r2", BUSY, 20), ("/later", "r2", BUSY + 20, 20)]
-    topics += [("/other", "r1", BUSY + 20, 20), ("/clock", "r1", LATER, 20)]
-    with keyspaces.lend() as name:
-        with connect(keyspace=name) as rosCas:
-            for topic, node, begin, seconds in topics:
-                stored_topic = rosCas.addTopic(topic, msg_type="std_msgs/Float64", nodeID=node)
-                for n in range(seconds):
-                    stored_topic.addData(Float64(n), (begin + n) * 10**9)
-        yield name
-
-
 SIDES = "[...document.querySelectorAll('#periods button')].map((b) => b.textContent)"
 
 
@@ -230,16 +207,17 @@ def test_what_has_nothing_in_view_is_below_the_others(page, bags):
     # r3 has messages only in another year.
     first, later, other = (["/first", True], ["/later", True], ["/other", True])
     clock = ["/clock", False]  # of r1, in another year
-    assert home.say(LINES) == ["r1", other, clock, "r2", first, later]
+    assert home.say(LINES) == ["r1", other, "r2", first, later, "r1", clock]
     home = Home(page("/", keyspace=bags, start=BUSY * 10**9, end=(BUSY + 15) * 10**9))
-    idle = [["/later", False], "r1", clock, ["/other", False]]
+    idle = ["r1", clock, ["/other", False], "r2", ["/later", False]]
     assert home.say(LINES) == ["r2", first, *idle]
     home.canvas.send_keys("\ue011")  # Home
     home.window.wait_for(
         f"const {{ timeline }} = arguments[0]; return {LINES}[0] === 'r1'", home.canvas
     )
     home = Home(page("/", keyspace=bags, start=(BUSY + 25) * 10**9, end=(BUSY + 30) * 10**9))
-    assert home.say(LINES) == ["r1", other, clock, "r2", later, ["/first", False]]
+    idle = ["r1", clock, "r2", ["/first", False]]
+    assert home.say(LINES) == ["r1", other, "r2", later, *idle]
 
 
 def test_a_robot_whose_messages_were_deleted_is_gone(page, keyspaces, connect):

@@ -131,7 +131,7 @@ def test_positions_are_on_a_map_that_asks_no_other_server(page):
 def test_the_menus_name_what_the_window_has(page):
     window = page("/look.html", start=patrol.START, end=patrol.END, topics="/odom,/fix")
     Studio(window)
-    texts = "[...document.querySelectorAll('#menu-topics li')].map((e) => e.innerText)"
+    texts = "[...document.querySelectorAll('#menu-topics li')].map((e) => e.textContent)"
     topics = [text.split(" ")[0] for text in window.wait_for(f"return {texts}.length && {texts}")]
     # /fix has nothing in it, but can be left out again.
     assert topics == ["/camera/image/compressed", "/map", *patrol_topics(), "/fix"]

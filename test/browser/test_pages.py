@@ -132,7 +132,10 @@ def test_there_is_nothing_but_the_pages(viewer):
 
 STATES = {
     "home": {},
-    "ask": {"q": "select KEY, linear_acceleration.z from /imu/data"},
+    "ask": {
+        "q": "select KEY, linear_acceleration.z from /imu/data",
+        "with": "select altitude from /fix",
+    },
     "look": {"time": patrol.START + 5 * patrol.SECOND},
     "map": {"start": patrol.START, "end": patrol.END, "map": patrol.SCAN},
 }
@@ -184,14 +187,33 @@ def widened(window):
 @pytest.mark.usefixtures("studio", "other")
 @pytest.mark.parametrize("name", READY)
 def test_pages_are_whole_at_every_width(page, widened, name):
-    window = page(PAGES[name.title()], **STATES[name])
+    check_widths(page(PAGES[name.title()], **STATES[name]), widened, name)
+
+
+@pytest.mark.usefixtures("other")
+def test_home_of_several_periods_is_whole_at_every_width(page, widened, bags):
+    window = page("/", keyspace=bags)
+    window.wait_for("return document.querySelectorAll('#periods button').length === 2")
+    check_widths(window, widened, "home", "periods_")
+
+
+@pytest.mark.usefixtures("other")
+def test_the_topics_of_ask_are_whole_at_every_width(page, widened):
+    window = page("/ask.html", **STATES["ask"])
+    window.wait_for("return document.querySelector('#ask-topics button')")
+    window.run("document.querySelector('#ask-topics').open = true")
+    check_widths(window, widened, "ask", "topics_")
+
+
+def check_widths(window, widened, name, prefix=""):
+    """Make a page wide and narrow; nothing of it may be cut off."""
     for width in (1280, 800, 520, 400):
         widened(width)
         window.wait_for(f"return innerWidth === {width} && {READY[name]}")
         window.wait_for("return document.querySelector('#keyspace select')")
         if "CASSANDRA_ROS_PICTURES" in os.environ:
-            path = Path(os.environ["CASSANDRA_ROS_PICTURES"]) / f"{name}_{width}.png"
-            path.write_bytes(window.picture())
+            path = Path(os.environ["CASSANDRA_ROS_PICTURES"]) / f"{prefix}{name}_{width}.png"
+            path.write_bytes(window.settled())
         # A plot follows the new width when the page is laid out again.
         window.wait_for(f"return (() => {{{CUT}}})().length === 0")
         assert window.run("return document.documentElement.scrollWidth") <= width

@@ -43,6 +43,7 @@ const CURVES = new Map([
 ]);
 const FLOATS = ["float32", "float64"];
 const INTEGERS = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"];
+const NARROW_PX = 700;
 const MOST_IMAGES = 3;
 const MOST_CURVES = 4;
 const FOLLOWED_SEC = 30;
@@ -63,7 +64,11 @@ export function layoutOf(topics, following) {
   const space = addSpace(topics, configById);
   const others = [...addCameras(topics, configById), ...addMap(topics, configById)];
   const texts = [...addCurves(topics, configById, following), ...addTexts(topics, configById)];
-  const above = space ? split("row", [space, split("column", others)], 68) : split("row", others);
+  // On a narrow page the panels beside 3D stand below it, and only the first of the texts.
+  const narrow = innerWidth < NARROW_PX;
+  if (narrow) texts.length = Math.min(1, texts.length);
+  const beside = split(narrow || !space ? "row" : "column", others);
+  const above = split(narrow ? "column" : "row", [space, beside], 68);
   return whole(split("column", [above, split("row", texts)], 68), configById);
 }
 
@@ -144,7 +149,7 @@ function addCameras(topics, configById) {
 /** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
 function addMap(topics, configById) {
   if (!ofTypes(topics, POSITIONS).length) return [];
-  configById["map!positions"] = { layer: "custom", customTileUrl: NO_TILES, zoomLevel: 17, disabledTopics: [],
+  configById["map!positions"] = { layer: "custom", customTileUrl: NO_TILES, zoomLevel: 19, disabledTopics: [],
     followTopic: "", topicColors: {} };
   return ["map!positions"];
 }

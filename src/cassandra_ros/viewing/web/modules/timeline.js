@@ -97,9 +97,8 @@ export class Timeline extends EventTarget {
     let node = null;
     const { start, end } = this.view;
     const busy = new Set(this.picture.lanes.filter((lane) => lane.isIn(start, end)));
-    const nodes = [...new Set([...[...busy].map((lane) => lane.node), ...this.picture.lanes.map((lane) => lane.node)])];
-    const rank = (/** @type {import("./timeline_data.js").Lane} */ lane) => 2 * nodes.indexOf(lane.node) + Number(!busy.has(lane));
-    for (const lane of this.picture.lanes.sort((one, other) => rank(one) - rank(other))) {
+    const idle = this.picture.lanes.filter((lane) => !busy.has(lane));
+    for (const lane of [...busy, ...idle]) {
       if (lane.node !== node) {
         node = lane.node;
         this.lines.push({ kind: "robot", node, y });
@@ -217,7 +216,7 @@ export class Timeline extends EventTarget {
       const text = line.kind === "lane" ? line.lane.topic : line.node;
       return Math.max(most, pen.measureText(text).width);
     }, NAMES_LEAST);
-    const most = Math.min(NAMES_MOST, this.size.width * NAMES_PART);
+    const most = Math.min(NAMES_MOST, Math.max(NAMES_LEAST, this.size.width * NAMES_PART));
     this.size.names = Math.round(Math.min(widest + 34, most));
   }
 
