@@ -297,6 +297,10 @@ VERBS = {
     "info --all": lambda user: user.verb("info", "--all"),
     "runs": lambda user: user.verb("runs"),
     "runs --params": lambda user: user.verb("runs", "--params", user.fleet.run),
+    "runs set --label": lambda user: user.verb("runs", "set", user.fleet.run, "--label", "a=b"),
+    "runs set --node-id": lambda user: user.verb(
+        "runs", "set", user.fleet.run, "--node-id", user.role
+    ),
     "import, into a stored topic": lambda user: user.verb("import", "-q", user.fleet.bag),
     "import, of a new topic": lambda user: user.verb(
         "import", "-q", user.fleet.write_bag(f"/new{next(_numbers)}")

@@ -15,8 +15,8 @@ are compared together, and a line says so.
 
 With --start and --end only messages of that time range are compared: so a time range that was
 exported is equal to its file. A range without any message in both is an error. Times are seconds
-(1368021980.25), ISO 8601 or nanoseconds (13 digits or more). A file that export has written with
---event or --around is compared with the same options.
+(1368021980.25), ISO 8601 or nanoseconds (13 digits or more). A file of export --event or --around
+is compared with the same options.
 
 With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
 a recording of a bag that was played: its times and connections differ from the bag. --start and
@@ -98,8 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_time_options(parser)
     add_event_options(parser)
-    text = "compare what export --around has written, as there (default: all times)"
-    add_around_option(parser, text)
+    add_around_option(parser, "compare what export --around wrote (default: all)")
     add("--repair", action="store_true", help="with --with: copy what differs again")
     add("-q", "--quiet", action="store_true", help="print differences only")
     add_json_option(parser)
