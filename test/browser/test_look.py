@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from browser import film, patrol
 from browser.looking import HUSKY_END, HUSKY_START, near
-from browser.studio import Studio, await_true, packed
+from browser.studio import BODY, Studio, await_true, packed
 from geometry_msgs.msg import Wrench
 from std_msgs.msg import String
 from suites import SUITE
@@ -126,6 +126,27 @@ def test_positions_are_on_a_map_that_asks_no_other_server(page):
     studio.press("Play")
     studio.await_time(lambda now: now > HUSKY_START + 2 * patrol.SECOND)
     studio.await_picture("map", lambda picture: len(np.unique(picture.reshape(-1, 3), axis=0)) > 10)
+
+
+@pytest.fixture
+def narrow(window):
+    """A page that is 400 pixels wide."""
+    window.resize((400, 800))
+    yield
+    window.resize((1280, 800))
+
+
+@pytest.mark.usefixtures("narrow")
+def test_panels_are_below_each_other_on_a_narrow_page(page):
+    window = page("/look.html", start=patrol.START, end=patrol.END)
+    studio = Studio(window)
+    widths = {kind: studio.picture(kind).shape[1] for kind in ("3D", "ImageViewPanel", "Plot")}
+    assert min(widths.values()) > 300, widths
+    # All controls can be reached.
+    controls = (
+        f"[...{BODY}.querySelectorAll('button, input')].map((e) => e.getBoundingClientRect())"
+    )
+    assert window.run(f"return Math.max(...{controls}.map((each) => each.right))") <= 400
 
 
 def test_the_menus_name_what_the_window_has(page):
