@@ -50,6 +50,8 @@ BAG = HERE / "data" / "husky_gps_data.bag"
 LIVE, COPY, AGAIN = "husky_live", "husky_import", "husky_again"
 DRIVE_SEC = 10.0
 """Time in which the bag is played at four times its speed, about, s."""
+HEARD_SEC = 60.0
+"""Maximum time until the recorder has heard the last message, s."""
 
 
 class Demo:
@@ -114,11 +116,18 @@ class Demo:
         with self.one_node_killed():
             self.shell.run(*others)
         logs.wait()
-        time.sleep(1.0)
+        self.await_heard()
         print(self.end(recorder))
         verify = ["cassandra_bag", "verify", BAG, "--content", *self.drive.maps]
         text = self.shell.run(*verify)
         self.note("recorded live, equal in content", self.drive.equal(text))
+
+    def await_heard(self) -> None:
+        """Wait until the recorder has heard all that was played: a busy machine takes a moment."""
+        deadline, heard = time.monotonic() + HEARD_SEC, 0
+        while heard < self.drive.count and time.monotonic() < deadline:
+            status = self.shell.output("rosservice", "call", "/recorder/status")
+            heard = sum(map(int, re.findall(r"received: (\d+)", status)))
 
     def end(self, recorder: Program, *keyspace: str) -> str:
         """End a recorder and return what it printed.
@@ -207,6 +216,7 @@ class Demo:
         begin = time.monotonic()
         self.shell.run(*play, *renames)
         self.note("played, 38 s of it at -r 4", f"{time.monotonic() - begin:.1f} s")
+        self.await_heard()
         print(self.end(recorder, "--keyspace", AGAIN).splitlines()[-1])
         verify = ["cassandra_bag", "verify", self.out / "exported.bag"]
         text = self.shell.run(*verify, "--keyspace", AGAIN, "--content", *self.drive.maps)

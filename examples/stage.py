@@ -87,6 +87,13 @@ class Shell:
             raise SystemExit(f"demo: {words[2] if words[0] == 'rosrun' else words[0]} failed")
         return done.stdout
 
+    def output(self, *command: str) -> str:
+        """Return what a command prints, without a word of it; '' if it fails."""
+        done = subprocess.run(
+            command, env=self.env, stdin=subprocess.DEVNULL, capture_output=True, text=True
+        )
+        return done.stdout
+
     def begin(self, name: str, command: Sequence[str]) -> Program:
         """Start a program that goes on while others run."""
         self.echo(f"{shell_text(command)} &")
