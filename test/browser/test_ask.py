@@ -154,7 +154,9 @@ def with_second(window, text):
     field = window.driver.find_element("css selector", "#plot-with")
     field.clear()
     field.send_keys(text + "\ue007")
-    window.wait_for("return document.body.dataset.state === 'working' || arguments[0] === ''", text)
+    # The page begins to work in the step in which it writes the address.
+    written = "return new URLSearchParams(location.search).get('with') === arguments[0]"
+    window.wait_for(written, text)
     assert window.wait_for(ANSWERED) == "done"
 
 

@@ -15,8 +15,8 @@ are compared together, and a line says so.
 
 With --start and --end only messages of that time range are compared: so a time range that was
 exported is equal to its file. A range without any message in both is an error. Times are seconds
-(1368021980.25), ISO 8601 or nanoseconds (13 digits or more). A file of export --event or --around
-is compared with the same options.
+(1368021980.25), ISO 8601 or nanoseconds (13 digits or more). The same options as those of export
+are for a file of its --event or --around.
 
 With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
 a recording of a bag that was played: its times and connections differ from the bag. --start and
@@ -29,9 +29,8 @@ differ are named. Both stores are read from here; of blocks that are stored alik
 which have checksums. --repair copies the topics again, whatever the books say. What is only in the
 other store stays there.
 
-With --parquet FILE is a folder of Parquet files that 'cassandra_bag export' wrote: numbers of
-messages, and a digest of all values, are compared (needs DuckDB). A file whose messages were
-deleted from the store differs.
+With --parquet FILE is a folder of Parquet files of export: numbers of messages, and a digest of all
+values, are compared (needs DuckDB). A file whose messages were deleted from the store differs.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a bag of format 2.0, or an MCAP of ROS 1 (default: the store of --with)",
     )
     add_topics_option(parser, "FILE.bag")
-    text = "FILE is a folder of Parquet files that export has written"
+    text = "FILE is a folder of Parquet files of export"
     add("--parquet", action="store_true", help=text)
     add_origin_options(parser)
     add("--content", action="store_true", help="compare only the content, see above")
