@@ -253,6 +253,7 @@ def test_the_table_of_a_named_format_needs_no_reason(call, tmp_path):
     assert "for new topics packed or ros" in " ".join(call("import", "--help")[1].split())
 
 
+@pytest.mark.suite("all", "it compresses a robot's bag three times; make test asks both alone")
 def test_size_says_what_an_import_does(call, tmp_path):
     path = write_robot(tmp_path / "a.bag")
     for words in (("--rates", "1"), ()):  # rates are those of a recording

@@ -383,7 +383,7 @@ def test_near_beside_a_plain_loop_indexed_or_not(drive_store, drive):
     assert found() == inside
 
 
-@pytest.mark.suite("test", "an index that is worth it")
+@pytest.mark.suite("all", "20 minutes of a drive; make test asks an index in the test above")
 def test_the_index_of_an_import_is_used(rosCas, monkeypatch):
     """A robot that drives east for 20 minutes, over longitude 180 in the middle."""
     poses = [(T0 + n * SEC, 10.0, shorter(179.88013 + n * 2e-4)) for n in range(1200)]
