@@ -12,6 +12,7 @@ import json
 import numpy as np
 import pytest
 import rosbag
+import rospy
 from mapping.room import PERIOD_NS, Drive
 from mapping.room import T0 as DRIVE
 from PIL import Image as Pillow
@@ -26,6 +27,7 @@ from cassandra_ros.errors import (
     InvalidQuery,
     MessageNotFound,
 )
+from cassandra_ros.files.bag.comparison import verify_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.playing.play_selection import PlaySelection
@@ -295,3 +297,21 @@ def test_a_map_is_made_of_the_events(rosCas, call, tmp_path):
     assert makeMap(rosCas, "/scan", event=("turn", 0, 0.1), nodeID="husky").used == 10 + 5
     status, out, _ = call("map", "/scan", "-o", tmp_path / "m.png", "--event", "turn", "--json")
     assert (status, json.loads(out)["used"]) == (0, 13)
+
+
+def test_verify_compares_an_imported_bag_at_the_times_of_an_event(store, call, tmp_path):
+    imported = tmp_path / "imported.bag"
+    with rosbag.Bag(str(imported), "w") as bag:
+        for n in range(50):
+            bag.write("/n", Int64(1000 + n), rospy.Time(T0 // SEC + n))
+    assert call("import", imported, "--node-id", "husky", "-q")[0] == 0
+    store.addEvent("early", T0 - 20 * SEC, T0 - 10 * SEC, nodeID="husky")
+    times = {n for robot, n in BUMPS if robot == "husky"}
+    report = verify_bag(store, imported, event="bump")
+    assert report.equal
+    assert report.equal_messages == len(times)
+    assert call("verify", imported, "--event", "bump")[0] == 0
+    status, _, error = call("verify", imported, "--event", "early")
+    assert (status, "nothing was compared" in error) == (1, True), error
+    assert store.upkeep.delete("/n", event="bump")
+    assert call("verify", imported, "--event", "bump")[0] == 1

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+from bisect import bisect_right
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from itertools import groupby, islice
-from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
+from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
@@ -127,8 +128,9 @@ def verify_bag(
         start: First receive time, included (genpy.Time, int ns, float s, text): earlier messages of
             the bag and of the store are not compared; None = open.
         end: Last receive time, included; None = open.
-        event, around: As in export_bag: compare all messages of the bag with the stored ones of
-            these times.
+        event, around: As in export_bag: compare with the stored messages of these times only. Of a
+            bag that was imported only its own messages of these times are compared, of another one
+            all of them, because an export has no others.
 
     Raises:
         EventNotFound, InvalidOption, InvalidQuery: As in export_bag.
@@ -136,7 +138,7 @@ def verify_bag(
         TopicNotFound: The bag has no such topic.
         RunNotFound: The store has no such run.
         InvalidKey: The bag was imported for several robots, and nodeID does not choose one.
-        MessageNotFound: Neither bag nor store has a message between start and end.
+        MessageNotFound: Neither bag nor store has a message of these times.
     """
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
@@ -178,14 +180,17 @@ def verify_bag(
         if own_import is not None:
             origin = Whose.of(own_import.node, frozenset([own_import.writer]))
             times = TimeRange(max(times.low, reader.start_ns), min(times.high, reader.end_ns))
+        windows, has_windows = [times], event is not None or around is not None
         reads = Reads(Read(times, origin), [Read(times, origin)])
-        if event is not None or around is not None:
+        if has_windows:
             reads = catalog.reads_of(sorted(stored), start, end, origin, event, around)
+            if own_import is not None:
+                windows = [read.time_range for read in reads.parts]
         rows = catalog.read_parts(stored, reads, received=True)
         # The rows of an import hold their positions in the bag, so a missing row shifts no other.
         order = _BY_CONNECTION if own_import is None else _BY_POSITION
         comparison = Comparison(_in_order(rows, ranks), report, order)
-        _compare(reader, numbers, dict.fromkeys(stored, comparison), progress, ranks, times)
+        _compare(reader, numbers, dict.fromkeys(stored, comparison), progress, ranks, windows)
         report.mixed_robots = ranks.mixed_robots  # known only when all rows were read
         others = 0
         if own_import is not None:
@@ -194,11 +199,13 @@ def verify_bag(
             report.add(
                 f"publish_time or sequence of {others} messages are stored otherwise", others
             )
-        if limits != TimeRange() and report.equal and not report.equal_messages:
+        is_limited = has_windows or limits != TimeRange()
+        if is_limited and report.equal and not report.equal_messages:
             first, last = iso_time(reader.start_ns), iso_time(reader.end_ns)
+            what = "of these times" if has_windows else "between start and end"
             raise MessageNotFound(
-                f"nothing was compared: {reader.path} and the store have no message between start "
-                f"and end; the file has messages from {first} to {last}"
+                f"nothing was compared: {reader.path} and the store have no message {what}; the "
+                f"file has messages from {first} to {last}"
             )
     return report
 
@@ -460,7 +467,7 @@ def _compare(
     comparisons: Mapping[str, Comparison],
     progress: MessageProgress | None,
     ranks: _Ranks | None = None,
-    times: TimeRange | None = None,
+    windows: Sequence[TimeRange] = (TimeRange(),),
 ) -> None:
     """Read a bag in the order of rosbag and compare each topic with its stored messages.
 
@@ -468,10 +475,12 @@ def _compare(
         numbers: Connections that are compared.
         comparisons: Topic of the bag -> its comparison; several topics may share one.
         ranks: Ranks of the connections; None = each has its own.
-        times: Receive times of the messages that are compared; None = all.
+        windows: Receive times of the messages that are compared, in their order, disjoint.
     """
+    starts = [window.low for window in windows]
     for entry in _entries_of_bag(reader, numbers, ranks):
-        if times is not None and not times.low <= entry.t_ns <= times.high:
+        number = bisect_right(starts, entry.t_ns) - 1
+        if number < 0 or entry.t_ns > windows[number].high:
             continue
         comparisons[entry.topic].add(entry)
         if progress is not None:
