@@ -129,6 +129,11 @@ class Condition:
             rows = filter(projections.hit, rows)
         return self._told(rows, select, tables, bounds.read)
 
+    def names_fields(self, tables: Sequence[Table]) -> bool:
+        """Return whether the condition names a field that the messages of some tables have."""
+        projections = Projections(self._select, tables)
+        return any(projection.extractor is not None for projection in projections)
+
     def blocks(
         self, tables: Sequence[Table], read: Read, read_blocks: BlockReader
     ) -> Iterator[MessageBlock] | None:

@@ -116,11 +116,13 @@ class Finder:
         read = self.read_of(key, to_key)
         if read.only is None and self.where is None:
             return count_rows(self.keyspace.directory, self.tables, read)
-        _, read_blocks = self.reads(key, to_key)
-        blocks = None if read_blocks is None else read_blocks()
-        if blocks is not None:
-            with suppress(TopicNotFound):  # a table was replaced meanwhile: its heir is read
-                return sum(len(block.times) for block in blocks)
+        # Without fields in the condition no message is needed, only its key.
+        if self.where is not None and self.where.names_fields:
+            _, read_blocks = self.reads(key, to_key)
+            blocks = None if read_blocks is None else read_blocks()
+            if blocks is not None:
+                with suppress(TopicNotFound):  # a table was replaced meanwhile: its heir is read
+                    return sum(len(block.times) for block in blocks)
         return sum(1 for _ in self._rows(read, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
@@ -386,6 +388,11 @@ class Filter:
         self._topic = topic
         self._condition = Condition(self.text, params)
         self.test = self._condition.test(topic.tables, whose)
+
+    @property
+    def names_fields(self) -> bool:
+        """Whether the condition names fields of the messages, not only KEY, NODE, RUN and times."""
+        return self._condition.names_fields(self._topic.tables)
 
     def rows(self, read: Read, *, bare: bool = False) -> Iterator[StoredRow]:
         """Yield the rows of a read that satisfy the condition; see Condition.rows."""

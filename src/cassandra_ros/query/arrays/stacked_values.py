@@ -68,7 +68,7 @@ def passing(block: MessageBlock, projection: Projection) -> MessageBlock:
     if not unsure.any():
         return block
     wires: dict[int, bytes] = {}
-    for members, planes in choose_groups(block.groups, unsure):
+    for members, planes in choose_groups(block.groups if projection.extractor else (), unsure):
         size, data = len(planes), planes.T.tobytes()
         wires.update((n, data[k * size : (k + 1) * size]) for k, n in enumerate(members.tolist()))
     run, times = block.run() if projection.runs else "", block.times[unsure].tolist()
