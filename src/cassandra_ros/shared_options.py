@@ -21,15 +21,25 @@ EXCLUDE = Option(
     metavar="EXCLUDE_REGEX",
     read=check_pattern,
 )
-FORMAT = Option(
-    ("--format",),
-    f"storage format: {', '.join(FORMAT_NAMES)} (default: the format that a topic has, for new "
-    f"topics {DEFAULT_FORMAT}). A topic that is stored in another format gets a second table; "
-    "'cassandra_bag convert' changes the format of what is stored",
-    metavar="F",
-    read=_text_or_none,
-)
-"""Its value is None if it is missing or empty: launch files pass empty ones."""
+
+
+def _format_option(of_new_topics: str) -> Option:
+    """Return the option of the storage format; ``of_new_topics``: the default for new topics.
+
+    Its value is None if it is missing or empty: launch files pass empty ones.
+    """
+    return Option(
+        ("--format",),
+        f"storage format: {', '.join(FORMAT_NAMES)} (default: the format that a topic has, for new "
+        f"topics {of_new_topics}). A topic that is stored in another format gets a second table; "
+        "'cassandra_bag convert' changes the format of what is stored",
+        metavar="F",
+        read=_text_or_none,
+    )
+
+
+FORMAT = _format_option(DEFAULT_FORMAT)
+IMPORT_FORMAT = _format_option(f"packed or {DEFAULT_FORMAT}, as above")
 MAX_SIZE = Option(
     ("--max-size",),
     "keep the topics of the store under this size, as 20G: what another store has is deleted, "

@@ -43,7 +43,7 @@ import os
 import signal
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -67,9 +67,8 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
-from cassandra_ros.metadata import DEFAULT_FORMAT
 from cassandra_ros.printable import shown
-from cassandra_ros.shared_options import FORMAT
+from cassandra_ros.shared_options import IMPORT_FORMAT
 
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -126,8 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bags", nargs="+", metavar="FILE", help=text)
     text = "also import the files in subfolders of a folder (default: only those in the folder)"
     add("-r", "--recursive", action="store_true", help=text)
-    text = FORMAT.help.replace(DEFAULT_FORMAT + ")", f"packed or {DEFAULT_FORMAT}, as above)")
-    add_option(parser, "format", replace(FORMAT, help=text), None)
+    add_option(parser, "format", IMPORT_FORMAT, None)
     add_topics_option(parser, "the FILEs")
     add(
         "--node-id",
