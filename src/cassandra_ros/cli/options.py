@@ -305,7 +305,7 @@ def hurry_on_interrupt(wait: Hurried) -> None:
 
 @contextmanager
 def awaited_store(options: argparse.Namespace, wait: StoreWait) -> Iterator[Future[RosCassandra]]:
-    """Open the store as ``open_store`` does, but on a thread, so that ``--wait`` blocks nobody.
+    """Open the store as ``open_store`` does, on a thread: the caller goes on during ``--wait``.
 
     The keyspace may be missing. With ``--wait 0`` the store is opened here, before the block. On
     exit the store is closed, or not waited for any more: then the thread may still be connecting.

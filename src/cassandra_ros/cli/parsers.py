@@ -171,7 +171,7 @@ class Parser(argparse.ArgumentParser):
     def _positionals_last(self, words: Sequence[str]) -> list[str]:
         """Return the words in the order that argparse needs: options with values, --, all others.
 
-        A word before -- that looks like an option and is none ends the program.
+        A word before -- that begins like an option, but is not an option, ends the program.
         """
         end = words.index("--") if "--" in words else len(words)
         finder = _OptionFinder(self._actions)

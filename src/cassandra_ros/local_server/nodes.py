@@ -84,7 +84,7 @@ class Node:
         return Security(self.directory.parent, self.settings)
 
     def answers(self) -> bool:
-        """Return whether the node answers CQL requests, also if it lets nobody log in yet."""
+        """Return whether the node answers CQL requests, even if no user can log in yet."""
         context = self.security.context() if self.settings.secure else None
         return answers_cql(self.address, self.settings.port, context=context)
 

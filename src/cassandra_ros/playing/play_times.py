@@ -75,7 +75,7 @@ def check_length(name: str, seconds: object) -> int | None:
 
 
 def _number(text: str) -> Decimal | None:
-    """Return the number that a text is; None if it is none, as an ISO 8601 time."""
+    """Return the number in a text; None if the text is not a number but, say, an ISO 8601 time."""
     match = _NUMBER.fullmatch(text)
     return None if match is None else Decimal(match[1])
 

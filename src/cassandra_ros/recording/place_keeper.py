@@ -286,7 +286,7 @@ class PlaceKeeper:
             self._is_wrong |= first <= lost <= self._noted
             robots = {robot for where, robot in self._indexed if where == table}
             if robots and not robots <= index.noted(table, *self._whose):
-                # Somebody has deleted poses, and with them this part of the index.
+                # Another client deleted poses, and with them this part of the index.
                 self._first[name] = max(first, self._noted + 1)
                 self._indexed -= {(table, robot) for robot in robots}
             self._first[name] = max(self._first[name], lost + 1)

@@ -69,8 +69,8 @@ class TableMaker:
         self.decided: deque[MessageSource] = deque()
         """Sources that have got a handle or an error; the writing thread removes them."""
         self._deadline = math.inf
-        """Monotonic time after which a failed attempt is the last one, s; 0 = nobody waits for the
-        tables any more."""
+        """Monotonic time after which a failed attempt is the last one, s; 0 = the tables are not
+        needed any more."""
         self._thread = threading.Thread(target=self._run, name="recorder-tables", daemon=True)
         self._thread.start()
 

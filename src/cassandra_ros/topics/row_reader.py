@@ -382,8 +382,8 @@ def messages_of(
         times, seqs = block.times[places], block.seqs[places]
         mask = np.zeros(len(block), bool)
         mask[places] = True
-        every = [(g.members, planes_of(g.stored, g.rises)) for g in block.unpacked.groups]
-        groups = choose_groups(every, mask)
+        all_groups = [(g.members, planes_of(g.stored, g.rises)) for g in block.unpacked.groups]
+        groups = choose_groups(all_groups, mask)
         unsure = None if opened.unsure is None else opened.unsure[places]
         yield MessageBlock(table, bucket.node, run, times, seqs, groups, unsure)
     # Rows are dropped one by one, because each keeps the bytes that were read of it.

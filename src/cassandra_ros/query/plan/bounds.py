@@ -331,7 +331,7 @@ def _radius(literal: Literal) -> float:
 
 
 def _number(name: str, unit: str, literal: Literal) -> float:
-    """Return a finite number; StatementError, which shows name and unit: it is none."""
+    """Return the value of a literal; StatementError, with name and unit: not a finite number."""
     value = literal.value
     if isinstance(value, Real) and not isinstance(value, (bool, DurationNs, TimeNs)):
         try:

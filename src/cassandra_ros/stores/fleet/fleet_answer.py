@@ -38,8 +38,8 @@ AWAY = (
     *(StoreUnavailable, ConnectionFailed, AccessDenied, UnsupportedSchema),
     *(KeyspaceNotFound, TopicNotFound),
 )
-"""Errors after which a store is missing in an answer. TopicNotFound among them means that the topic
-was there when the answer began: who looks for a topic catches it before."""
+"""Errors after which a store is missing in an answer. The topic of a TopicNotFound
+was there when the answer began; a caller that looks for a topic catches the error itself."""
 
 
 class FleetAnswer:
@@ -269,7 +269,7 @@ def settled(answer: FleetAnswer, make: Callable[[], _T]) -> _T:
         make: Asks the stores, not only by ``each`` and ``rows``: it may raise one of AWAY.
 
     Raises:
-        CassandraRosError: What ``make`` raises, if all stores answer, or is none of AWAY.
+        CassandraRosError: ``make`` raised it although all stores answer, or it is not in AWAY.
     """
     while True:
         try:

@@ -105,11 +105,11 @@ class Lane:
         return min(firsts, default=None), max(lasts, default=None)
 
     @property
-    def parts(self) -> list[tuple[Longs, Longs, Longs]]:
+    def spans(self) -> list[tuple[Longs, Longs, Longs]]:
         """First and last times, ns, and counts of the time ranges and of the single messages."""
         times = self.keys.times
-        every = self.time_ranges[:3], (times, times, np.ones(len(times), np.int64))
-        return [part for part in every if len(part[0])]
+        columns = self.time_ranges[:3], (times, times, np.ones(len(times), np.int64))
+        return [(first, last, counts) for first, last, counts in columns if len(first)]
 
     @property
     def messages(self) -> int:
@@ -217,10 +217,10 @@ class Picture(NamedTuple):
 
     def _divided(self, gap_ns: int) -> list[Period]:
         """Divide the messages at each time of this length, or longer, without a message."""
-        parts = [part for lane in self.lanes for part in lane.parts]
-        if not parts:
+        spans = [columns for lane in self.lanes for columns in lane.spans]
+        if not spans:
             return []
-        firsts, lasts, messages = (np.concatenate(columns) for columns in zip(*parts))
+        firsts, lasts, messages = (np.concatenate(columns) for columns in zip(*spans))
         order = np.argsort(firsts)
         # The last time of all time ranges so far, in the order of their first times.
         firsts, reached = firsts[order], np.maximum.accumulate(lasts[order])

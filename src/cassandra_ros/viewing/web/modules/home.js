@@ -66,7 +66,7 @@ let severalStores = false;
 /** @typedef {import("./timeline.js").Span & {messages: number}} Period */
 /** @type {Period[]} Time ranges with messages, separated by long pauses. */
 let periods = [];
-/** @type {Period | null | undefined} The period that is shown; null = all of them, undefined = there is none yet. */
+/** @type {Period | null | undefined} The period that is shown; null = all of them, undefined = no period is known yet. */
 let period;
 let updateTopics = (/** @type {any[]} */ lanes) => {};
 /** @type {number | undefined} */
