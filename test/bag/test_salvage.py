@@ -8,6 +8,7 @@ from functools import partial
 from random import Random
 
 import pytest
+import rosbag
 from bag.truth import string_connection, string_wire
 from mcap.opcode import Opcode
 
@@ -216,6 +217,21 @@ def test_a_chunk_whose_header_is_destroyed_is_passed_over(tmp_path):
         with open_file(tmp_path / name, salvage=True) as reader:
             found = [(m.number, m.t_ns, m.data) for m in reader.messages()]
         assert found == [m for position, m in messages.items() if position not in chunks[3]]
+
+
+def test_an_empty_bag_is_whole(tmp_path):
+    path = tmp_path / "empty.bag"
+    rosbag.Bag(str(path), "w").close()
+    with BagReader(path, salvage=True) as reader:
+        assert (reader.message_count, reader.salvaged.why) == (0, "")
+
+
+@pytest.mark.parametrize("size", [13, 20, 4_000])
+def test_of_a_bag_that_ends_in_its_header_nothing_is_salvaged(tmp_path, size):
+    path = tmp_path / "empty.bag"
+    rosbag.Bag(str(path), "w").close()
+    with pytest.raises(BagError, match="no message that can be salvaged"):
+        BagReader(cut(path, size), salvage=True)
 
 
 @pytest.mark.parametrize("kind", ["bag none", "bag lz4", "mcap zstd"])

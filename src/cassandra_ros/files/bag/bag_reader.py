@@ -441,9 +441,14 @@ class _Scan:
         is in the fields; ``salvaged.why`` is never empty then.
 
         Raises:
-            BagError: The file is not a bag of format 2.0, or it is encrypted.
+            BagError: The file is not a bag of format 2.0, or is encrypted, or ends in its header.
         """
-        start, size = read_start(self.file, self.path), os.fstat(self.file.fileno()).st_size
+        size = os.fstat(self.file.fileno()).st_size
+        try:
+            start = read_start(self.file, self.path)
+        except BagUnindexed as exc:
+            why = f"is cut short in its header, after {size} bytes"
+            raise BagError(f"{self.path} {why}: there is no message that can be salvaged") from exc
         self._read_connections()
         self.file.seek(start.data_pos + start.data_bytes)
         while (position := self.file.tell()) < size:
@@ -680,7 +685,7 @@ class BagReader(BagIndex, MessageFile):
             BagError: The index is wrong: a chunk has messages that the index does not list.
         """
         missing: Counter[int] = Counter()
-        ends = [*self._column(0)[1:], self._data_end]
+        ends = [*self._column(0), self._data_end][1:]
         size = os.fstat(self._file.fileno()).st_size
         for chunk, end in enumerate(ends):
             try:
