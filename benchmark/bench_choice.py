@@ -6,7 +6,8 @@ Each topic is a bag, which is imported in both formats, in turn; and its message
 blocks of half a second, as a recorder packs them. Bytes on disk are the data files of the tables
 after Cassandra was stopped, which writes everything to them. Times are those of the processor, of
 this process and of the server together, so that other work on the machine hardly counts. Values
-change as those of sensors do: slowly, with noise, in steps of the sensor. Prints the table of
+change as those of sensors do: slowly, with noise, in steps of the sensor. Real bags are
+imported in the formats that are chosen, and written by rosbag with bz2. Prints the two tables of
 doc/formats.md.
 """
 
@@ -35,6 +36,7 @@ from sensor_msgs.msg import (
     PointCloud2,
 )
 from std_msgs.msg import String
+from suite.experiments.bags import BAGS, bytes_of, find_bag, messages_of, write_bag
 from suite.messages import START_NS, serialized
 from suite.server import Server
 from tf2_msgs.msg import TFMessage
@@ -263,7 +265,7 @@ def print_table(server: Server, measured: list[Measured]) -> None:
     """Print bytes and times of a message, as parts of those of ros."""
     head = "topic", "rate", "message", "`ros`", "`packed`, recorded", "`packed`, imported"
     print("|", " | ".join((*head, "processor time", "chosen")), "|")
-    print("| ---", "| ---:" * 6, "| --- |", sep=" ")
+    print("| --- |", " ---: |" * 6, " --- |", sep="")
     for one in measured:
         ways = ("ros", "recorded", "packed")
         disk = [server.keyspace_bytes(one.keyspace(way), "*-Data.db") for way in ways]
@@ -280,6 +282,39 @@ def print_table(server: Server, measured: list[Measured]) -> None:
             f"`{choose_format(sample).format}`",
         )
         print("|", " | ".join(row), "|")
+
+
+@dataclass(frozen=True)
+class RealBag:
+    """A bag that was imported in the formats that are chosen."""
+
+    name: str
+    keyspace: str
+    wire_bytes: int
+    """Serialised bytes of its messages together."""
+    bz2_bytes: int
+    """Size of the bag that rosbag writes of them, compressed with bz2."""
+
+
+def store_real(server: Server, path: Path, folder: Path) -> RealBag:
+    """Import a bag as it is, without naming a format; and write it with bz2."""
+    messages = messages_of(path)
+    small = folder / "bz2.bag"
+    write_bag(messages, small, "bz2")
+    keyspace = "chosen_" + path.stem
+    with RosCassandra(server.host, server.port, keyspace=keyspace) as store:
+        import_bag(store, path)
+    return RealBag(path.name, keyspace, bytes_of(messages), small.stat().st_size)
+
+
+def print_bags(server: Server, bags: list[RealBag]) -> None:
+    """Print the bytes of each bag, as parts of those of its messages."""
+    print("\n| bag | all files of the tables | data alone | bag with bz2 |")
+    print("| --- |", " ---: |" * 3, sep="")
+    for bag in bags:
+        files, data = (server.keyspace_bytes(bag.keyspace, names) for names in ("*", "*-Data.db"))
+        parts = (f"{nbytes / bag.wire_bytes:.3f}" for nbytes in (files, data, bag.bz2_bytes))
+        print("|", " | ".join((bag.name, *parts)), "|")
 
 
 def main() -> int:
@@ -300,8 +335,11 @@ def main() -> int:
                             store_imported(server, one, form)
                 for one in measured:
                     store_recorded(server, one)
+                paths = filter(None, map(find_bag, BAGS))
+                real = [store_real(server, path, Path(folder)) for path in paths]
                 server.stop()
                 print_table(server, measured)
+                print_bags(server, real)
             finally:
                 server.stop()
     except CassandraRosError as exc:

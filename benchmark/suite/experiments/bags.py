@@ -48,12 +48,12 @@ def run(context: Context) -> None:
     stored: Stored = {}
     names = BAGS if context.size.bag_messages is None else BAGS[:1]
     for name in names:
-        paths = [folder / name for folder in FOLDERS if (folder / name).is_file()]
-        if not paths:
+        path = find_bag(name)
+        if path is None:
             context.say(f"  without {name}: it lies in none of {', '.join(map(str, FOLDERS))}")
             continue
         with context.part(name), context.new_folder(Path(name).stem) as folder:
-            _one(context, paths[0], folder, stored)
+            _one(context, path, folder, stored)
     if context.server.ours:
         context.server.stop()
         for (name, format), (keyspace, wire_bytes) in stored.items():
@@ -62,6 +62,12 @@ def run(context: Context) -> None:
                     size = context.server.keyspace_bytes(keyspace, pattern)
                     context.add(what, format, size / wire_bytes, "of wire bytes", kind=name)
         context.server.start()
+
+
+def find_bag(name: str) -> Path | None:
+    """Return the path of a real bag; None if it is not on this machine."""
+    paths = (folder / name for folder in FOLDERS)
+    return next((path for path in paths if path.is_file()), None)
 
 
 def messages_of(path: Path) -> list[Message]:
