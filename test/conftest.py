@@ -167,6 +167,9 @@ def pytest_collection_modifyitems(config, items):
         mark = suite_mark(item)
         if mark is not None:
             item.user_properties.append((REASON, mark.args[1]))
+    if hasattr(config, "workerinput"):
+        # What takes long begins first, so that no worker is left alone with it at the end.
+        items.sort(key=lambda item: suite_mark(item) is None)
 
 
 def pytest_collection_finish():

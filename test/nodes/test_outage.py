@@ -31,7 +31,6 @@ def one(roscore):
         yield publisher
 
 
-@pytest.mark.suite("test", "--no-spool")
 @pytest.mark.fault
 def test_a_store_that_goes_away(roscore, proxy, keyspace, rosCas, one):
     """Two warnings, and messages are kept meanwhile; a second Ctrl-C drops them."""

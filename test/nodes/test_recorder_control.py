@@ -425,6 +425,7 @@ def test_losses_of_a_killed_recorder_are_told(roscore, recorder, rosCas):
         (("/a", "--rate-limit", "fast"), "not a rate"),
         (("/a", "--config", "/no/such.yaml"), "No such file"),
         (("/a", "-L", "1X"), "is not a size"),
+        (("/a", "--journal", "--no-spool"), "leave out --no-spool"),
     ],
 )
 def test_wrong_usage(capsys, arguments, word):
@@ -433,6 +434,19 @@ def test_wrong_usage(capsys, arguments, word):
         read_options(parser, parser.parse_args(arguments))
     assert caught.value.code == 2
     assert word in capsys.readouterr().err
+
+
+def test_options_of_the_spool(tmp_path):
+    def plan(*words):
+        parser = make_parser()
+        return read_options(parser, parser.parse_args(["/a", *words])).spool_plan
+
+    assert plan("--no-spool") is None
+    default = plan()
+    assert (default.journal, default.drops_newest) == (False, False)
+    given = plan("--journal", "--spool-drop", "newest", "--spool-dir", str(tmp_path))
+    assert (given.journal, given.drops_newest) == (True, True)
+    assert given.folder.path == tmp_path
 
 
 def test_every_option_of_rosbag_record_is_known():

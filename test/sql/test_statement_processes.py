@@ -141,6 +141,7 @@ def test_other_errors_keep_their_class(shared, store):
     assert run(shared, store, "SELECT 1")[1] == [(1,)]
 
 
+@pytest.mark.suite("all", "it kills a program")
 def test_a_statement_that_ends_duckdb_ends_nothing_else(pids, own, store):
     assert run(own, store, "SELECT 1")[1] == [(1,)]
     first = pids()
@@ -153,6 +154,7 @@ def test_a_statement_that_ends_duckdb_ends_nothing_else(pids, own, store):
     assert pids() == second
 
 
+@pytest.mark.suite("all", "it stops statements, and waits")
 def test_what_is_not_waited_for_ends_and_its_process_goes_on(pids, own, store):
     class Gone(CassandraRosError):
         pass

@@ -13,6 +13,7 @@ import rospy
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int32, String
+from suites import sparing
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.cli import cassandra_bag
@@ -61,7 +62,7 @@ def all_stored(rosCas, **whose):
     return {topic.name: stored(rosCas, topic.name, **whose) for topic in rosCas.getAllTopics()}
 
 
-@pytest.fixture(params=["ros", "packed"])
+@pytest.fixture(params=sparing(["ros", "packed"], kept=["packed"]))
 def two_runs(fresh, tmp_path, request):
     """A keyspace with the runs a.bag and b.bag, without robot."""
     with fresh() as rosCas:
