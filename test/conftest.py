@@ -168,8 +168,9 @@ def pytest_collection_modifyitems(config, items):
         if mark is not None:
             item.user_properties.append((REASON, mark.args[1]))
     if hasattr(config, "workerinput"):
-        # What takes long begins first, so that no worker is left alone with it at the end.
-        items.sort(key=lambda item: suite_mark(item) is None)
+        # What takes long begins first, so that no worker is left alone with it at the end. The
+        # tests of a scope stay in their order.
+        items.sort(key=lambda item: suite_mark(item) is None or _scope(item.nodeid) != item.nodeid)
 
 
 def pytest_collection_finish():
@@ -182,17 +183,24 @@ def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
-        # What starts programs and waits for them shares few workers: more at a time are too many
-        # for a small machine. So does what looks at all sources, which are parsed once then.
         def _split_scope(self, nodeid):
-            module = nodeid.split("::")[0]
-            for scope, places in ONE_BY_ONE.items():
-                if places.intersection(module.split("/")):
-                    part = zlib.crc32(nodeid.encode()) % PARTS.get(scope, 1)
-                    return f"{scope} {part}"
-            return module if _shares(module) else nodeid
+            return _scope(nodeid)
 
     return Scheduling(config, log)
+
+
+def _scope(nodeid):
+    """Return the name of the tests that run one after the other, on one worker, with this one.
+
+    What starts programs and waits for them shares few workers: more at a time are too many for a
+    small machine. So does what looks at all sources, which are parsed once then.
+    """
+    module = nodeid.split("::")[0]
+    for scope, places in ONE_BY_ONE.items():
+        if places.intersection(module.split("/")):
+            part = zlib.crc32(nodeid.encode()) % PARTS.get(scope, 1)
+            return f"{scope} {part}"
+    return module if _shares(module) else nodeid
 
 
 @functools.lru_cache(maxsize=None)

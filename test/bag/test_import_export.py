@@ -87,16 +87,16 @@ def beginning(path, target, part):
 
 # Every bag in every format; make test leaves the large bags to larger suites.
 LATER_BAGS = ("backpack_multiecho_bz2", "husky_gps_data")
-OF_ONE_BAG = {"turtlesim_tf": ("binary", "string", "json", "ros", "packed")}
+OF_ONE_BAG = {"turtlesim_tf": ("binary", "json", "ros", "packed")}
 
 
 def suites_of(name, form):
     """Return the mark that leaves this format of this bag to a larger suite, in a list."""
     if name not in LATER_BAGS and form in OF_ONE_BAG.get(name, ("packed",)):
-        return []
+        return [pytest.mark.suite("test", "bag, store, bag")]
     if form == "yaml" or (name == "backpack_multiecho_bz2" and form in ("json", "string")):
         return [pytest.mark.suite("campaign", "large bags in their slowest formats")]
-    return [pytest.mark.suite("all", "make test asks small bags, and all formats of one")]
+    return [pytest.mark.suite("all", "make test asks small bags, and most formats of one")]
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,7 @@ def told(numbers):
     return [("jackal" if n >= 100 else "husky", n % 100) for n in numbers]
 
 
+@pytest.mark.suite("test", "all doors for one event")
 def test_every_door_means_the_same_messages(store, call, tmp_path):
     rows = list(store.readMessages("/n", event="bump"))
     assert set(told(row.message().data for row in rows)) == BUMPS

@@ -336,6 +336,7 @@ EVENTS = [
 """Name, start and end (s, None = it lasts), robot, and the stores that have it."""
 
 
+@pytest.mark.suite("test", "each kind of event, in each way to ask")
 def test_events_with_time_around_them_meet_a_time_range_as_in_one_store(stores):
     """An event may lie outside of the range, and only the time around it reach into it."""
     first, second, whole = stores

@@ -171,6 +171,7 @@ def test_a_jar_of_another_content_is_not_kept(maven, tmp_path, monkeypatch):
         jars.install_jars(lambda text: None)
 
 
+@pytest.mark.suite("all", "it reads each jar")
 def test_the_list_is_what_make_setup_has_installed():
     there = {path.name: jars._digest(path) for path in jars.jars_directory().glob("*.jar")}
     assert there == {name: digest for name, (digest, _) in jars.listed_jars().items()}

@@ -473,6 +473,7 @@ def test_recorders_that_start_at_the_same_moment_have_two_names(roscore, recorde
     assert any("2 runs are called lab: " in child.output for child in both)
 
 
+@pytest.mark.suite("test", "a recorder from its start to its end")
 def test_quiet(roscore, recorder):
     with publisher(roscore, "/x") as one:
         child = recorder("/x", "-q", "--limit", "1", ready="")
@@ -526,6 +527,7 @@ def test_nothing_to_record_needs_no_master(roscore):
     assert "give topics to record" in child.output
 
 
+@pytest.mark.suite("test", "four recorders")
 def test_help_and_no_server(roscore):
     done = subprocess.run(
         ["rosrun", "cassandra_ros", "recorder", "--help"],

@@ -217,6 +217,7 @@ def test_splits_and_begin_write(roscore, recorder, rosCas, client):
     assert names[-3:] == ["r_1", "r_2", "r_3"]
 
 
+@pytest.mark.suite("test", "two publishers and a recorder")
 def test_dry_run(roscore, recorder, rosCas, tmp_path):
     config = tmp_path / "settings.yaml"
     config.write_text("topics: [{pattern: /cam.*, format: binary, ttl: 1h, rate_limit: 5}]")

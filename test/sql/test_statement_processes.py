@@ -175,6 +175,7 @@ def test_what_is_not_waited_for_ends_and_its_process_goes_on(pids, own, store):
     assert len(pids() & before) in (0, 1)  # a busy machine may not stop it in time
 
 
+@pytest.mark.suite("test", "it starts a process")
 def test_each_thread_of_its_process_has_a_low_priority(pids, own, store):
     run(own, store, "SELECT count(*) FROM volt")
     (pid,) = pids()

@@ -269,6 +269,7 @@ def test_a_writer_that_died_is_filled_and_may_come_back(rosCas, unhurried, monke
     assert check_texts(rosCas, topic) == 20
 
 
+@pytest.mark.suite("test", "an index made, filled and dropped")
 @pytest.mark.parametrize(
     "form",
     sparing([form for form in FORMAT_NAMES if not format_class(form).PACKED], kept=["ros", "json"]),

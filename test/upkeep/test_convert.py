@@ -529,6 +529,7 @@ def test_what_came_late_is_not_taken_along_while_its_writer_goes_on(rosCas, conn
 CHANGES = ["convert", "rename", "delete", "index"]
 
 
+@pytest.mark.suite("test", "two changes of all messages")
 @pytest.mark.parametrize("between", sparing(CHANGES, kept=["convert"]))
 def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
     topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String")

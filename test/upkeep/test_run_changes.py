@@ -251,6 +251,7 @@ def test_a_file_that_is_imported_again_after_its_run_was_moved(fresh, tmp_path):
         assert len(stored(rosCas, "/n", run=writer)) == 40
 
 
+@pytest.mark.suite("test", "two imports and a move")
 def test_a_row_that_was_read_before_a_move_gives_its_bytes_after_it(two_runs):
     rows = list(two_runs.getTopic("/large").rows(run="a.bag", columns=lambda table: ()))
     two_runs.upkeep.setRuns("a.bag", nodeID="husky")

@@ -20,6 +20,7 @@ from cassandra_ros.viewing.viewer_settings import ViewerSettings
 SEC = 10**9
 
 
+@pytest.mark.suite("test", "the way of a robot is indexed first")
 def test_where_robots_were(viewer):
     found = viewer.get("/api/places")
     (track,) = found["tracks"]

@@ -44,6 +44,7 @@ def read(url):
         return answer.read()
 
 
+@pytest.mark.suite("test", "the program from its start to its end")
 def test_it_prints_its_address_answers_and_ends_by_ctrl_c(env, new_keyspace, tmp_path):
     words = ["--port", "0", "--keyspace", new_keyspace, "__name:=viewer", "--token="]
     child = Child([*VIEWER, *words], env)
