@@ -14,6 +14,7 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Stamp, duration_ns, iso_time
 from cassandra_ros.quantities import exact_seconds
 from cassandra_ros.query.arrays.aligned_fields import align_fields, latest_places, nearest_places
+from cassandra_ros.query.arrays.array_types import AnyArray
 from cassandra_ros.query.arrays.field_arrays import FieldArray, Fields, as_frame
 from cassandra_ros.read import TimeRange
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
@@ -106,14 +107,15 @@ class TopicsFrame:
         low, high = self._range
         base_fields = self._gather(base, low, high, only_times=base.name not in names)
         times = base_fields["KEY"].values
-        gathered, places = {}, {}
+        gathered: dict[str, dict[str, FieldArray]] = {}
+        places: dict[str, AnyArray] = {}
         for other in self._topics:
             if other.name == base.name:
-                fields, indexes = base_fields, np.arange(len(times))
-            else:
-                fields = self._gather(other, low - self._within, high + self._within)
-                indexes = nearest_places(fields["KEY"].values, times, self._within)
-            gathered[other.name], places[other.name] = fields, indexes
+                gathered[other.name], places[other.name] = base_fields, np.arange(len(times))
+                continue
+            fields = self._gather(other, low - self._within, high + self._within)
+            gathered[other.name] = fields
+            places[other.name] = nearest_places(fields["KEY"].values, times, self._within)
         return as_frame(align_fields(gathered, places, times))
 
     def _gather(
