@@ -97,6 +97,20 @@ class TopicMetadata:
         return self.span_ns > 0
 
     @property
+    def takes_index(self) -> bool:
+        """Whether an index on a field can be made: a block has its minima and maxima instead."""
+        return not self.packed
+
+    @property
+    def may_be_cut_otherwise(self) -> bool:
+        """Whether there may be blocks that begin at other messages than those of a new import."""
+        return self.packed and (self.cut or bool(self.replaces))
+
+    def noting_cut(self) -> TopicMetadata:
+        """Return a copy that notes ``cut`` if a row is a block; a message's row is cut one way."""
+        return self.with_(cut=True) if self.packed else self
+
+    @property
     def partition(self) -> str:
         """Name of the second column of the partition key, which holds a name or a bucket."""
         return "_key" if self.named else "_bucket"

@@ -18,8 +18,8 @@ from cassandra_ros.store.blocks import block_stream as streams
 from cassandra_ros.store.blocks.block_stream import BucketRead, WaitingRows, stream
 from cassandra_ros.store.rows import reader
 from cassandra_ros.store.rows.fetch import RowKey, fetch_rows, first_at
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.rows.reader import read_rows
-from cassandra_ros.store.rows.row_counts import recount
 from cassandra_ros.store.tables import directory as listing
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Finder
@@ -194,7 +194,7 @@ def settle_counts(model):
                     for p in model.messages
                     if (p.table, p.node, table.bucket_of(p.t)) == (table.name, node, bucket)
                 ]
-                counted = recount(table, node, bucket)
+                counted = layout_of(table).recount(node, bucket)
                 for writer, totals in counted.items():
                     own = [p for p in mine if writer_of(p.seq) == writer]
                     assert totals.rows == len(own)

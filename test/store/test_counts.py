@@ -13,6 +13,7 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.rows import row_counts as counting
 from cassandra_ros.store.rows import writer
+from cassandra_ros.store.rows.layouts import RowLayout, layout_of
 from cassandra_ros.store.tables import directory
 
 SEC = 10**9
@@ -117,7 +118,7 @@ def test_rows_that_waited_while_the_writer_stood_still_open_it_again(rosCas, sti
 def test_a_writer_that_was_not_late_is_not_counted_again(rosCas, still, monkeypatch):
     """Only then the directory is cheap: a recount reads all keys of the bucket."""
     counted = []
-    monkeypatch.setattr(writer, "recount", lambda *args: counted.append(args))
+    monkeypatch.setattr(RowLayout, "recount", lambda *args: counted.append(args))
     with rosCas.messageWriter() as target:
         write(target, range(10))
     assert counted == []
@@ -191,7 +192,7 @@ def test_a_recount_gives_what_the_writer_has_counted(rosCas):
             target.write(handle, T0 + number, number, wire)
     told = listed(rosCas)[9]
     (table,) = rosCas.getTopic("/a").tables
-    counted = counting.recount(table, "", told.bucket)[9]
+    counted = layout_of(table).recount("", told.bucket)[9]
     assert vars(counted) == {name: getattr(told, name) for name in vars(counted)}
     assert (told.rows, told.odd, told.t_min, told.t_max) == (13, 3, T0, T0 + 31)
     assert told.largest == len(wire_of(0))

@@ -29,8 +29,7 @@ from suites import sparing
 
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.store.connection import requests as in_flight
-from cassandra_ros.store.rows import backfill, fetch, reader
-from cassandra_ros.store.rows import row_counts as counting
+from cassandra_ros.store.rows import backfill, fetch, layouts, reader
 from cassandra_ros.store.rows import writer as writing
 from cassandra_ros.store.tables.directory import slot_of
 from cassandra_ros.store.tables.registry import Run
@@ -301,7 +300,7 @@ COUNT = 40
 def small_pages(monkeypatch):
     """Pages of seven rows, which end between messages of equal stamps."""
     monkeypatch.setattr(reader, "MAX_PAGE_ROWS", 7)
-    monkeypatch.setattr(counting, "COUNT_PAGE_ROWS", 7)
+    monkeypatch.setattr(layouts, "COUNT_PAGE_ROWS", 7)
     monkeypatch.setattr(fetch, "KEY_PAGE_ROWS", 7)
     monkeypatch.setattr(fetch, "VERSION_PAGE_ROWS", 7)
 

@@ -14,7 +14,7 @@ from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.rows import reader
+from cassandra_ros.store.rows import reader, row_stream
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -95,7 +95,7 @@ def test_equal_stamps_at_the_start_of_a_bucket_come_in_one_order(rosCas, reverse
 @pytest.mark.parametrize("few", sparing([False, True], kept=[True]))
 def test_filtered_rows_come_in_the_one_order(topic, monkeypatch, page_bytes, reverse, few):
     monkeypatch.setattr(reader, "PAGE_BYTES", page_bytes)
-    monkeypatch.setattr(reader, "KEYS_AT_ONCE", 3)
+    monkeypatch.setattr(row_stream, "KEYS_AT_ONCE", 3)
     chooser = Chooser(bound("<=", 120), bound(">=", 100), few=few)  # both give 100 to 120
     rows = numbers(topic.rows(reverse=reverse, chooser=chooser))
     assert rows == wanted(topic, lambda n: True, reverse=reverse)

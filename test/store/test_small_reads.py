@@ -19,7 +19,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.rows import reader
+from cassandra_ros.store.rows import reader, row_stream
 from cassandra_ros.store.tables import directory as listing
 
 SEC = 10**9
@@ -246,7 +246,7 @@ def test_what_matches_in_numbers_is_not_fetched_by_its_keys(rosCas, monkeypatch)
             assert told.rows <= 6 * (1000 - least) + 20
     # Also where a page holds few of a bucket's rows: its share counts, not its size.
     monkeypatch.setattr(reader, "PAGE_BYTES", 150 * 68)
-    monkeypatch.setattr(reader, "KEYED_SHARE", 0.4)
+    monkeypatch.setattr(row_stream, "KEYED_SHARE", 0.4)
     ask = partial(rosCas.executeCQL, "select KEY from a where data >= 0")
     found, told = asked(monkeypatch, topic, ask)
     assert len(found) == 3000

@@ -542,7 +542,7 @@ class _StoredBlocks:
 
         In a table without blocks it may be written again: False.
         """
-        if not handle.table.packed:
+        if handle.blocks is None:
             return False
         seqs = self._seqs.get(handle.table.name)
         if seqs is None:

@@ -226,9 +226,9 @@ def differences(settings: TopicSettings, stored: TopicMetadata) -> list[str]:
     if settings.key_part and settings.key_part != stored.key_part:
         key = stored.key_part or stored.key_format
         texts.append(f"was made with the key {key}, not {settings.key_part}")
-    if settings.index and stored.packed:
+    if settings.index and not stored.takes_index:
         texts.append("takes no index: it is packed, and conditions use the bounds of its blocks")
-    for name in () if stored.packed else settings.index:
+    for name in settings.index if stored.takes_index else ():
         if name not in stored.indexes:
             texts.append(
                 f"has no index on {name}; make it with: cassandra_bag index {stored.topic} {name}"

@@ -10,6 +10,9 @@
 - ``blocks/``: blocks of messages, the rows of format ``packed``: packed, found, read.
 - ``rows/``: ``writer`` and ``reader``, counts, and rows that are found by their keys.
 
+A row holds one message or a block: ``tables/table_layout`` says what is asked of either,
+``blocks/block_layout`` and ``rows/layouts`` answer it, and ``rows/layouts`` chooses.
+
 In: a ``Read``, or rows with a table that has its encoder (made in topics/). Out: rows.
 This room imports no other; each folder imports those that are listed before it. The driver of
 Cassandra comes in here.

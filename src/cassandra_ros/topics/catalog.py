@@ -100,7 +100,7 @@ class Catalog:
         stored = self.keyspace.tables.of_topic(topic)
         if format_class(format_name).PACKED:
             check_packed(stored[0].metadata if stored else wish.metadata)
-            if metadata.indexes and all(table.packed for table in stored):
+            if metadata.indexes and not any(table.metadata.takes_index for table in stored):
                 raise no_index_in_blocks(topic)
         definition = self._definition_for(topic, msg_type, ask_master and not stored)
         for table in stored:

@@ -122,7 +122,7 @@ def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
                 f"field {field} is the key_part of topic {topic} and has an index for whole "
                 "arrays; one for their elements cannot be made in addition"
             )
-    if all(table.packed for table in tables):
+    if not any(table.metadata.takes_index for table in tables):
         raise no_index_in_blocks(topic)
     if not any(_type_of(table.metadata, field) for table in tables):
         for table in tables:
@@ -154,7 +154,7 @@ def check_unnamed(topic: str, key_format: str) -> None:
 
 def _type_of(metadata: TopicMetadata, field: str) -> str | None:
     """Return the CQL type of the column of an index; None if the table cannot have the index."""
-    if metadata.packed:
+    if not metadata.takes_index:
         return None
     definition = definition_in(metadata)
     with suppress(InvalidName):

@@ -385,8 +385,8 @@ class MessageWriter:
             node=handle.node,
             like=like,
         )
-        if later.table.packed and not later.table.metadata.cut:  # made by another client
-            schema.change_topic(handle.topic, lambda metadata: metadata.with_(cut=True))
+        if later.table.metadata.noting_cut() != later.table.metadata:  # made by another client
+            schema.change_topic(handle.topic, TopicMetadata.noting_cut)
         return later
 
     def _tell_moved(self, handle: Handle, later: Handle) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from itertools import chain, islice
 from typing import Collection, Dict, Iterable, List, Sequence, Tuple, Union
 
@@ -11,7 +12,7 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.read import Read, Whose
 from cassandra_ros.store.blocks.block_counts import headers
 from cassandra_ros.store.blocks.block_deletion import BlockDeletion
-from cassandra_ros.store.rows.row_counts import scan_keys, scan_written
+from cassandra_ros.store.rows.layouts import RowLayout
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.store.tables.row_table import BlockKey
 from cassandra_ros.topics.keyspace import Keyspace
@@ -29,6 +30,154 @@ _Key = Tuple[int, int, bool]
 """``_t`` and ``_seq`` as stored, and whether the message has chunks."""
 _Series = Dict[_Partition, List[List[_Key]]]
 """Keys to delete, in order; between two lists of a partition lies a row that stays."""
+
+
+class _Deletion(ABC):
+    """Deletes messages of one partition: of a bucket, or those with one name."""
+
+    def __init__(self, space: Keyspace, partition: _Partition) -> None:
+        self._space = space
+        self._partition = partition
+        self._table, self._node, self._where = partition
+
+    @abstractmethod
+    def time_range(self, read: Read, writers: Collection[int], until_us: int) -> int:
+        """Delete the messages of a bucket in the time range of a read, and of its writers.
+
+        Args:
+            writers: Writer ids of all messages in the bucket.
+            until_us: A time of the server before the directory was read, us.
+
+        Returns:
+            The number of messages that were deleted.
+        """
+
+    @abstractmethod
+    def rows(self, rows: Sequence[StoredRow]) -> None:
+        """Delete messages."""
+
+    def _mark(self) -> None:
+        """Note the deletion in the directory, again for each group of messages.
+
+        A reader may have counted the bucket and closed it in between.
+
+        Raises:
+            SchemaConflict: The table is being converted, and so its messages are not deleted.
+        """
+        self._space.schema.listing().check_staying(self._table.name)
+        if isinstance(self._where, int):
+            _mark_deleted(self._space.directory, self._table, self._node, self._where)
+
+    def _delete_chunks(self, keys: Iterable[_Key]) -> None:
+        """Delete the chunks of messages, after their rows: a row is their commit mark."""
+        chunked = [(self._node, self._where, t, seq) for t, seq, large in keys if large]
+        if chunked:
+            statement, what = self._table.delete_one(chunks=True), _deleting(self._table)
+            self._space.cassandra.execute_many(statement, chunked, what=what)
+
+
+class _RowDeletion(_Deletion):
+    """Deletes rows, each of which is a message."""
+
+    def time_range(self, read: Read, writers: Collection[int], until_us: int) -> int:
+        """Delete all rows at once if they are of the read's writers, else one by one."""
+        wanted = read.whose.writers
+        if wanted is None or wanted.issuperset(writers):
+            return self._whole(*read.time_range, until_us)
+        return self._between(read) if wanted.intersection(writers) else 0
+
+    def _whole(self, low: int, high: int, until_us: int) -> int:
+        """Delete the rows that were written up to a server time; return their number."""
+        table, node, bucket = self._table, self._node, int(self._where)
+        self._space.schema.listing().check_staying(table.name)
+        keys: list[_Key] = []
+        newest_us = 0
+        for t, seq, large, written_us in RowLayout(table).written(node, bucket, low, high):
+            if written_us <= until_us:
+                keys.append((t, seq, large))
+                newest_us = max(newest_us, written_us)
+        if keys:
+            marked = _mark_deleted(self._space.directory, table, node, bucket)
+            # Rows that arrive in the range now, and were not counted, are newer than all of these.
+            params = (newest_us, node, bucket, *keys[0][:2], *keys[-1][:2])
+            statement = table.delete_range(older=True)
+            self._space.cassandra.execute(statement, params, what=_deleting(table))
+            # Rows of writers that opened the bucket in between may have been deleted too.
+            _mark_deleted(self._space.directory, table, node, bucket, marked)
+            self._delete_chunks(keys)
+        return len(keys)
+
+    def _between(self, read: Read) -> int:
+        """Delete the rows of the writers of a read, between those of others, which stay."""
+        rows = RowLayout(self._table).keys(self._node, int(self._where), *read.time_range)
+        keys = ((row.t, row.seq, row.chunked) for row in rows if read.whose.wrote(row.seq))
+        deleted = 0
+        while some := list(islice(keys, REMOVED_ROWS_AT_ONCE)):
+            self.keys(some)
+            deleted += len(some)
+        return deleted
+
+    def rows(self, rows: Sequence[StoredRow]) -> None:
+        """Delete rows one by one, and then their chunks."""
+        self.keys(list(map(_key_of, rows)))
+
+    def keys(self, keys: Sequence[_Key]) -> None:
+        """Delete rows by their keys, one by one: those that are added in between stay."""
+        self._mark()
+        params = [(self._node, self._where, t, seq) for t, seq, _ in keys]
+        statement, what = self._table.delete_one(), _deleting(self._table)
+        self._space.cassandra.execute_many(statement, params, what=what)
+        self._delete_chunks(keys)
+
+    def ranges(self, ranges: Sequence[Sequence[_Key]], until_us: int) -> None:
+        """Delete ranges of rows of a bucket that were written up to a server time.
+
+        The chunks of their messages stay.
+        """
+        self._mark()
+        where = self._node, self._where
+        params = [(until_us, *where, *keys[0][:2], *keys[-1][:2]) for keys in ranges]
+        statement, what = self._table.delete_range(older=True), _deleting(self._table)
+        self._space.cassandra.execute_many(statement, params, what=what)
+
+
+class _PackedDeletion(_Deletion):
+    """Deletes messages out of blocks; those that another writer adds meanwhile stay."""
+
+    def time_range(self, read: Read, writers: Collection[int], until_us: int) -> int:
+        """Delete the messages of a read, whose blocks are found by their headers."""
+        low, high = read.time_range
+        block_rows = headers(
+            self._table, self._node, int(self._where), low, high, read.whose.writers
+        )
+        deleted = 0
+        while some := list(islice(block_rows, REMOVED_ROWS_AT_ONCE)):
+            self._mark()
+            blocks = self._blocks()
+            deleted += blocks.time_range(some, low, high)
+            self._delete_chunks((*key, True) for key in blocks.large)
+        return deleted
+
+    def rows(self, rows: Sequence[StoredRow]) -> None:
+        """Delete messages by their places in their blocks, and then their chunks."""
+        cuts: dict[BlockKey, set[int]] = {}
+        for row in rows:
+            block, place = row.block
+            if block is not None:
+                cuts.setdefault(block, set()).add(place)
+        self._mark()
+        self._blocks().cut(cuts)
+        self._delete_chunks(map(_key_of, rows))
+
+    def _blocks(self) -> BlockDeletion:
+        return BlockDeletion(self._space.cassandra, self._table, self._node, int(self._where))
+
+
+def _deletion_in(space: Keyspace, partition: _Partition) -> _Deletion:
+    """Return what deletes messages of a partition, by the layout of its table."""
+    if partition[0].packed:
+        return _PackedDeletion(space, partition)
+    return _RowDeletion(space, partition)
 
 
 def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read) -> int:
@@ -52,13 +201,8 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
         for row in rows:
             writers.setdefault((row.node, row.bucket), set()).add(row.writer)
         for (node, bucket), row_writers in sorted(writers.items()):
-            if table.packed:
-                deleted += _delete_blocks(space, (table, node, bucket), read)
-            elif whose.writers is None or row_writers <= whose.writers:
-                deleted += _delete_bucket(space, (table, node, bucket), low, high, until_us)
-            elif row_writers & whose.writers:
-                # Other writers have rows there too, which stay: delete row by row.
-                deleted += _delete_between(space, (table, node, bucket), read)
+            deletion = _deletion_in(space, (table, node, bucket))
+            deleted += deletion.time_range(read, row_writers, until_us)
     return deleted
 
 
@@ -75,33 +219,6 @@ def _withdraw_places(
         space.place_index.withdraw(table.name, low, high)
 
 
-def _delete_blocks(space: Keyspace, partition: _Partition, read: Read) -> int:
-    """Delete messages from blocks; messages that another writer adds meanwhile stay."""
-    table, node, where = partition
-    low, high = read.time_range
-    block_rows = headers(table, node, int(where), low, high, read.whose.writers)
-    deleted = 0
-    while some := list(islice(block_rows, REMOVED_ROWS_AT_ONCE)):
-        space.schema.listing().check_staying(table.name)
-        _mark_deleted(space.directory, table, node, int(where))
-        cutter = BlockDeletion(space.cassandra, table, node, int(where))
-        deleted += cutter.time_range(some, low, high)
-        _delete_chunks(space, partition, [(*key, True) for key in cutter.large])
-    return deleted
-
-
-def _delete_between(space: Keyspace, partition: _Partition, read: Read) -> int:
-    """Delete rows of a bucket one by one: those of the writers and of the time range of a read."""
-    table, node, bucket = partition
-    rows = scan_keys(table, node, int(bucket), *read.time_range)
-    keys = ((t, seq, large) for t, seq, _, large, _ in rows if read.whose.wrote(seq))
-    deleted = 0
-    while some := list(islice(keys, REMOVED_ROWS_AT_ONCE)):
-        _delete_some(space, partition, some)
-        deleted += len(some)
-    return deleted
-
-
 def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
     """Delete messages while they are found; return their number. Only some keys are in memory."""
     deleted = 0
@@ -113,10 +230,7 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
         for partition, group in groups.items():
             times = [row.t for row in group]
             space.place_index.withdraw(partition[0].name, min(times), max(times))
-            if partition[0].packed:
-                _cut_some(space, partition, group)
-            else:
-                _delete_some(space, partition, list(map(_key_of, group)))
+            _deletion_in(space, partition).rows(group)
         deleted += len(some)
     return deleted
 
@@ -155,7 +269,7 @@ def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us
 def _delete_series(space: Keyspace, series: _Series, until_us: int) -> None:
     """Delete rows: three or more consecutive ones as a range, the others one by one."""
     for partition, row_series in series.items():
-        table, node, where = partition
+        table = partition[0]
         ranges: list[list[_Key]] = []
         single: list[_Key] = []
         if row_series[0]:
@@ -168,66 +282,11 @@ def _delete_series(space: Keyspace, series: _Series, until_us: int) -> None:
                 ranges.append(keys)
             else:
                 single += keys
+        deletion = _RowDeletion(space, partition)
         if single:
-            _delete_some(space, partition, single)
+            deletion.keys(single)
         if ranges:
-            space.schema.listing().check_staying(table.name)
-            _mark_deleted(space.directory, table, node, int(where))
-            params = [(until_us, node, where, *keys[0][:2], *keys[-1][:2]) for keys in ranges]
-            statement = table.delete_range(older=True)
-            space.cassandra.execute_many(statement, params, what=_deleting(table))
-
-
-def _delete_some(space: Keyspace, partition: _Partition, keys: list[_Key]) -> None:
-    """Delete some rows of a partition, and then their chunks."""
-    table, node, where = partition
-    space.schema.listing().check_staying(table.name)
-    if isinstance(where, int):
-        # Again for each group: a reader may have counted the bucket and closed it in between.
-        _mark_deleted(space.directory, table, node, where)
-    # Row by row: rows that another writer adds between two of them stay.
-    params = [(node, where, t, seq) for t, seq, _ in keys]
-    space.cassandra.execute_many(table.delete_one(), params, what=_deleting(table))
-    _delete_chunks(space, partition, keys)
-
-
-def _cut_some(space: Keyspace, partition: _Partition, rows: list[StoredRow]) -> None:
-    """Delete messages of one bucket from their blocks."""
-    table, node, where = partition
-    cuts: dict[BlockKey, set[int]] = {}
-    for row in rows:
-        block, place = row.block
-        if block is not None:
-            cuts.setdefault(block, set()).add(place)
-    space.schema.listing().check_staying(table.name)
-    _mark_deleted(space.directory, table, node, int(where))
-    BlockDeletion(space.cassandra, table, node, int(where)).cut(cuts)
-    _delete_chunks(space, partition, [_key_of(row) for row in rows])
-
-
-def _delete_bucket(
-    space: Keyspace, partition: _Partition, low: int, high: int, until_us: int
-) -> int:
-    """Delete the rows of a bucket that were written up to a server time; return their number."""
-    table, node, where = partition
-    bucket = int(where)
-    space.schema.listing().check_staying(table.name)
-    keys: list[_Key] = []
-    newest_us = 0
-    for t, seq, large, written_us in scan_written(table, node, bucket, low, high):
-        if written_us <= until_us:
-            keys.append((t, seq, large))
-            newest_us = max(newest_us, written_us)
-    if keys:
-        marked = _mark_deleted(space.directory, table, node, bucket)
-        # Rows that arrive in the range now, and were not counted, are newer than all of these.
-        params = (newest_us, node, bucket, *keys[0][:2], *keys[-1][:2])
-        statement = table.delete_range(older=True)
-        space.cassandra.execute(statement, params, what=_deleting(table))
-        # Rows of writers that opened the bucket in between may have been deleted too.
-        _mark_deleted(space.directory, table, node, bucket, marked)
-        _delete_chunks(space, (table, node, bucket), keys)
-    return len(keys)
+            deletion.ranges(ranges, until_us)
 
 
 def _mark_deleted(
@@ -238,14 +297,6 @@ def _mark_deleted(
     for writer in writers.difference(but):
         directory.mark((table.name, node, bucket, writer), table.metadata.ttl, deleted=True)
     return writers
-
-
-def _delete_chunks(space: Keyspace, partition: _Partition, keys: list[_Key]) -> None:
-    # After the rows: a row is the commit mark of its chunks.
-    table, node, where = partition
-    chunked = [(node, where, t, seq) for t, seq, large in keys if large]
-    if chunked:
-        space.cassandra.execute_many(table.delete_one(chunks=True), chunked, what=_deleting(table))
 
 
 def _deleting(table: TopicTable) -> str:

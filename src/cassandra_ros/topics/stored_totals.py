@@ -13,7 +13,8 @@ from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
 from cassandra_ros.read import ALWAYS, EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.store.rows.fetch import list_names
-from cassandra_ros.store.rows.row_counts import count_part, recount_open_buckets
+from cassandra_ros.store.rows.layouts import layout_of
+from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.row_reader import followed
@@ -108,7 +109,7 @@ def _count_edge(table: TopicTable, group: Sequence[BucketRow], read: Read) -> in
         entries = [row for row in group if row.rows and row.t_min <= high and row.t_max >= low]
         if all(low <= row.t_min and row.t_max <= high for row in entries):
             return sum(row.rows for row in entries)
-    return count_part(table, group[0].node, group[0].bucket, (low, high), read.whose.writers)
+    return layout_of(table).count(group[0].node, group[0].bucket, (low, high), read.whose.writers)
 
 
 def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:

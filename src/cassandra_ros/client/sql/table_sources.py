@@ -20,7 +20,7 @@ from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_batches
 from cassandra_ros.query.arrays.arrow_types import Wanted
-from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch, nan_queries, unwatched
 from cassandra_ros.query.protocols import Table, UnpackedMessages
 from cassandra_ros.query.tree.syntax import Expression
 from cassandra_ros.read import Query, Read, Sift, Sifted, TimeRange, Whose
@@ -241,11 +241,7 @@ class ConditionChooser:
     def choose(self, table: Table, bucket: Sequence[Any]) -> Sequence[Query] | None:
         """Return the queries whose rows include all matching rows; None = read all rows."""
         queries = self.pushdown.choose(table, bucket)
-        if queries is None or not table.packed or table.definition is None:
-            return queries
-        named = [name for name in self._floats if name in zone_map(table.definition).fields]
-        nan = [((("_nan", "CONTAINS", name.encode()),), False) for name in named]
-        return [*queries, *nan]
+        return None if queries is None else [*queries, *nan_queries(table, self._floats)]
 
     def few(self, table: Table) -> bool:
         """Return whether only few rows were found so far."""

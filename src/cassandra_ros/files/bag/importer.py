@@ -551,7 +551,7 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
         # Messages that were deleted since are stored again, but the index does not cover them.
         if placed:
             keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
-    other = [t for t in tables.values() if t.packed and (t.metadata.replaces or t.metadata.cut)]
+    other = [table for table in tables.values() if table.metadata.may_be_cut_otherwise]
     read = Read(TimeRange(0, MAX_NS), whose)
     held = [table for table in other if holds_any(keyspace.directory, [table], whose)]
     if delete_time_range(keyspace, held, read):

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from operator import ge, gt, le, lt
-from typing import Any, Callable, Dict, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy
 
@@ -416,11 +416,10 @@ class Pushdown:
         It is called after the last row of a bucket for which ``choose`` returned queries.
         """
         total = sum(row.rows for row in bucket)
-        if table.packed:
-            opened, passed = self._opened[table], self._passed[table] + total
-            self._passed[table] = passed
-            if opened > DENSE_ROWS and opened > ZONES_SHARE * passed:
-                self._idle.add(table)
+        self._passed[table] += total
+        opened = self._opened[table]  # 0 if each message has its own row
+        if opened > DENSE_ROWS and opened > ZONES_SHARE * self._passed[table]:
+            self._idle.add(table)
         if hits > SPARSE_BUCKET_ROWS and hits > SPARSE_BUCKET_SHARE * total:
             self._many.add(table)
         if hits > DENSE_ROWS and hits > DENSE_SHARE * total:
@@ -606,6 +605,17 @@ def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:
     if not table.by_field or table.definition is None:
         return None
     return _checkable(table.definition, table.longest_text).get(ref.column)
+
+
+def nan_queries(table: Table, fields: Iterable[str]) -> list[Query]:
+    """Return the queries of the blocks in which one of some fields has a NaN: zones leave it out.
+
+    There are none where each message has its own row.
+    """
+    if not table.packed or table.definition is None:
+        return []
+    zones = zone_map(table.definition).fields
+    return [((("_nan", "CONTAINS", name.encode()),), False) for name in fields if name in zones]
 
 
 @lru_cache(maxsize=256)

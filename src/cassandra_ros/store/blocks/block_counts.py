@@ -35,9 +35,13 @@ def headers(
 ) -> Iterator[BlockRow]:
     """Read, without their bytes, the blocks with a time range that meets [low, high], ns.
 
+    A table in which each message has its own row has none.
+
     Args:
         low, high: None = the beginning, or the end, of the bucket.
     """
+    if not table.packed:
+        return
     begin = bucket * table.metadata.bucket_ns
     ends, terms = list(ALL), []
     if low is not None and low > begin:

@@ -9,17 +9,16 @@ whole table, and some 300 bytes of memory a message.
 from __future__ import annotations
 
 import heapq
-from typing import Callable, Collection, Iterable, Iterator, NamedTuple, Sequence, Union
+from typing import Callable, Collection, Iterable, Iterator, NamedTuple, Sequence
 
 from cassandra.cluster import ResultSet
 from cassandra.query import BoundStatement
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
-from cassandra_ros.store.blocks.block_lookup import MessageFinder, answer_one, ask_one
-from cassandra_ros.store.blocks.block_stream import BucketRead, stream
 from cassandra_ros.store.connection.protocol import RawPage
-from cassandra_ros.store.connection.requests import PagedRead, RawRow, sent_ahead
+from cassandra_ros.store.connection.requests import RawRow, sent_ahead
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.checksum import crc32
 from cassandra_ros.store.tables.directory import FEW_NODES, BucketRow, Directory, slot_of
 from cassandra_ros.store.tables.row_table import (
@@ -32,6 +31,7 @@ from cassandra_ros.store.tables.row_table import (
     decode_long,
     encode_int,
 )
+from cassandra_ros.store.tables.table_layout import Answer, Finder, Side
 
 FETCHED_ROWS_AHEAD = 16
 """Number of rows that are requested ahead when rows are fetched by their keys."""
@@ -42,9 +42,6 @@ VERSION_PAGE_ROWS = 16
 """Maximum number of rows of one name in a page."""
 ONE_QUERY_KEYS = 1000
 """Maximum number of keys that are fetched by one query over the whole table and sorted here."""
-
-_Side = Union[PagedRead, Iterator[TableRow]]
-"""The read of the rows before or after a time, or the messages of blocks there."""
 
 
 class RowKey(NamedTuple):
@@ -60,17 +57,16 @@ def fetch_rows(keys: Iterable[RowKey]) -> Iterator[TableRow]:
     Raises:
         CorruptMessage: A row, or the block that holds it, is damaged.
     """
-    finders: dict[str, MessageFinder] = {}
+    finders: dict[str, Finder] = {}
 
-    def sent(key: RowKey) -> tuple[RowKey, PagedRead | None]:
-        # The block of one message may hold the next ones too, so blocks are not requested ahead.
-        return key, None if key.table.packed else _ask(key)
+    def sent(key: RowKey) -> Answer:
+        name = key.table.name
+        if name not in finders:
+            finders[name] = layout_of(key.table).finder()
+        return finders[name](key.position)
 
-    for key, request in sent_ahead(map(sent, keys), FETCHED_ROWS_AHEAD):
-        if request is not None:
-            row = _answer(key, request)
-        else:
-            row = finders.setdefault(key.table.name, MessageFinder(key.table)).find(key.position)
+    for answer in sent_ahead(map(sent, keys), FETCHED_ROWS_AHEAD):
+        row = answer()
         if row is not None:
             yield row
 
@@ -81,8 +77,7 @@ def fetch_row(table: RowTable, position: Position) -> TableRow | None:
     Raises:
         CorruptMessage: The row, or the block that holds it, is damaged.
     """
-    key = RowKey(table, position)
-    return _answer(key, _ask(key))
+    return layout_of(table).ask(position)()
 
 
 def first_at(
@@ -126,10 +121,11 @@ def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[]
 
 def _best(table_nodes: list[tuple[RowTable, str]], t: int) -> TableRow | None:
     """Return the first row with a key time of some tables and nodes, asked at the same time."""
-    keys = [RowKey(table, Position(t, node, 0, table.name)) for table, node in table_nodes]
-    requests = [(key, _ask(key, any_seq=True)) for key in keys]
-    answers = [_answer(*request, any_seq=True) for request in requests]
-    rows = [row for row in answers if row is not None]
+    answers = [
+        layout_of(table).ask(Position(t, node, 0, table.name), any_seq=True)
+        for table, node in table_nodes
+    ]
+    rows = [row for row in [answer() for answer in answers] if row is not None]
     return min(rows, key=lambda row: row[:4], default=None)
 
 
@@ -153,12 +149,11 @@ def beside(
         One row for each way; of several rows with the same time the first. None if a nearer row may
         lie in another bucket, or the nodes in the cache were not all.
     """
-    sides_of_way: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
+    sides_of_way: list[list[Side]] = [[] for _ in ways]
 
     def ask(table: RowTable, some_nodes: Iterable[str], way: int) -> None:
-        sides_of_way[way] += [
-            (table, node, _ask_side(table, node, t, ways[way])) for node in some_nodes
-        ]
+        layout = layout_of(table)
+        sides_of_way[way] += [layout.ask_side(node, t, reverse=ways[way]) for node in some_nodes]
 
     # The nodes that were asked, and what waits for those that the directory lists.
     slots: list[tuple[Sequence[str], Callable[[], Sequence[str]]]] = []
@@ -210,64 +205,15 @@ def _nearest(table: RowTable, rows: Sequence[BucketRow], t: int, reverse: bool) 
     return {node for near, _, node in ends if near <= least_far}
 
 
-def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
-    """Request the first rows of a node in the bucket of a time, from this time on."""
-    ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
-    if table.packed:
-        return stream(BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1))
-    # Two in descending order: see _best_side.
-    partition_key, page_rows = table.partition_key(node, table.bucket_of(t)), 1 + reverse
-    return table.select_range(
-        table.listing(), partition_key, ends, page_rows=page_rows, reverse=reverse
-    )
-
-
-def _best_side(requests: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
+def _best_side(sides: Sequence[Side], reverse: bool) -> TableRow | None:
     """Return the nearest row of all nodes; None if there is no row, or the first is not known."""
     rows: list[TableRow] = []
-    for table, node, side in requests:
-        if not isinstance(side, PagedRead):
-            rows += _first_of(side)
-            continue
-        values = side.page()
-        side_rows = [table.row_from_values(node, v) for v in values if not table.is_rest(v)]
-        # Descending order begins with the last of several rows with the same time.
-        if len(side_rows) < len(values) or len(side_rows) == 2 and side_rows[0].t == side_rows[1].t:
+    for side in sides:
+        first = side()
+        if first is None:
             return None
-        rows += side_rows[:1]
+        rows += first
     return min(rows, key=lambda r: (-r.t if reverse else r.t, *r[1:4]), default=None)
-
-
-def _first_of(messages: Iterator[TableRow]) -> list[TableRow]:
-    """Return the lowest of the first messages that have the same time, as a list of at most one."""
-    first_rows: list[TableRow] = []
-    for row in messages:
-        if first_rows and row.t != first_rows[0].t:
-            break
-        first_rows.append(row)
-    return first_rows and [min(first_rows)]
-
-
-def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
-    """Request a row, or the block that holds it; any_seq: the first row of its time and node."""
-    table, (t, node, seq, _, name) = key
-    if table.packed:
-        return ask_one(table, key.position, any_seq=any_seq)
-    partition_key = table.partition_key_of(node, t, name)
-    if any_seq:
-        return table.ask_row(partition_key, t, None)
-    return table.ask_row(partition_key, *table.stored_order(t, seq))
-
-
-def _answer(key: RowKey, request: PagedRead, *, any_seq: bool = False) -> TableRow | None:
-    """Return the row that _ask has requested; None if there is no such row."""
-    table, position = key
-    if table.packed:
-        return answer_one(table, position, request, any_seq=any_seq)
-    for values in request.page()[:1]:
-        if not table.is_rest(values):
-            return table.row_from_values(position.node, values, position.name)
-    return None
 
 
 def _select_chunks(table: RowTable, row: TableRow) -> BoundStatement:

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Rows from Cassandra: of any number of tables and nodes, merged in one order, page by page.
 
-All rows of a bucket are read, or those that pass the server's filter.
-
 A read of few rows requests the buckets in which the last read of its tables began at the same time
 as the directory. It uses the answer only if the directory names the same buckets. That saves one
 round trip and never changes the result.
@@ -12,53 +10,26 @@ round trip and never changes the result.
 from __future__ import annotations
 
 import heapq
-import logging
 from collections import deque
-from functools import partial
-from itertools import repeat
 from typing import (
     Callable,
     Collection,
     Generic,
     Iterable,
     Iterator,
-    NamedTuple,
-    Optional,
     Sequence,
     Tuple,
     TypeVar,
 )
 
-from cassandra.query import PreparedStatement
-
-from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.read import Chooser, Query, Read
-from cassandra_ros.store.blocks.block_stream import (
-    EARLY_BLOCKS,
-    BucketRead,
-    OpenedBlock,
-    opened,
-    stream,
-)
-from cassandra_ros.store.connection.driver_errors import DRIVER_ERRORS, is_refused
-from cassandra_ros.store.connection.protocol import RawPage
-from cassandra_ros.store.connection.requests import GROWTH, PagedRead, RawRow
-from cassandra_ros.store.rows.page_rows import rows_of_page
+from cassandra_ros.read import Read
+from cassandra_ros.store.blocks.block_layout import BlockLayout
+from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
+from cassandra_ros.store.connection.requests import GROWTH
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.directory import BucketRow, BucketWalk, Directory
-from cassandra_ros.store.tables.row_table import (
-    KEYS,
-    MAX_SEQ,
-    MIN_SEQ,
-    Order,
-    RowTable,
-    TableRow,
-    bind,
-    decode_long,
-    encode_int,
-    encode_orders,
-)
-
-_log = logging.getLogger(__name__)
+from cassandra_ros.store.tables.row_table import RowTable, TableRow
+from cassandra_ros.store.tables.table_layout import BucketPlan, Queries
 
 PAGE_BYTES = 2 * 1024 * 1024
 """Approximate maximum size of a page, bytes."""
@@ -73,13 +44,6 @@ _ROW_OVERHEAD = 64
 """Approximate memory that a row takes in addition to its message, bytes."""
 MERGED_ROWS = 16
 """Minimum number of rows requested from each of several streams for a read of few rows."""
-KEYS_AT_ONCE = 100
-"""Maximum number of rows that one statement fetches by their keys."""
-KEYED_SHARE = 0.04
-"""Largest share of a bucket's rows that is fetched by key after filtering. Above it the server
-returns whole rows."""
-TURNED_PAGES = 2
-"""Maximum number of pages of an index that are held in memory to reverse their order."""
 SMALL_FIRST_PAGE_ROWS = 5000
 """Maximum number of wanted rows for which the first pages are smaller than whole ones."""
 MOST_FIRST = 8
@@ -90,11 +54,6 @@ _Order = Tuple[object, ...]
 _Request = Tuple[str, str, int, int, int, int]
 """Table, node, bucket, and the sizes of pages."""
 _T = TypeVar("_T")
-
-_EVERY_ROW: Query = ((), False)
-"""The query without conditions."""
-Queries = Optional[Sequence[Query]]
-"""Queries that return the rows of a bucket that may match; None = read all rows."""
 
 
 def _takes_few(read: Read) -> bool:
@@ -123,309 +82,16 @@ def _may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
     )
 
 
-class BucketPlan(NamedTuple):
-    """A bucket to be read, with the sizes of its pages."""
-
-    start: int
-    """Time at which it begins, in the direction of reading, ns. Reads in reverse begin at the end
-    of the bucket or of the read's time range."""
-    table: RowTable
-    node: str
-    bucket: int
-    rows: Sequence[BucketRow]
-    """Rows of its writers in the directory; empty = there is no bucket, and the entry only tells
-    how far the directory was read."""
-    page_rows: int = 0
-    """Maximum number of rows in a page."""
-    page_bytes: int = 0
-    """Approximate maximum size of its messages in memory, bytes."""
-    first_rows: int = 0
-    """Number of rows of its first page, from which pages grow; 0 = page_rows."""
-
-    @property
-    def listed(self) -> int:
-        """Number of rows by the directory, which is exact for a closed bucket."""
-        return sum(row.rows for row in self.rows)
-
-    def listed_in(self, span_ns: int) -> float:
-        """Return the number of rows in a time range of this length, if they are evenly spread."""
-        ends = [(row.t_min, row.t_max) for row in self.rows if row.rows]
-        length = max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0
-        return self.listed * min(1.0, span_ns / max(1, length))
-
-
-def _ends_of(plan: BucketPlan, read: Read) -> tuple[Order, Order]:
-    """Return the first and the last row key in a bucket that the read includes.
-
-    A cursor is a place in the order (t, node, seq, table). So the rows at its time were read before
-    if their node comes first, and those with its seq if their table does.
-    """
-    first, last = read.time_range
-    low, high = (first, MIN_SEQ), (last, MAX_SEQ)
-    if read.after is None:
-        return low, high
-    t, node, seq, table, _ = read.after
-    if read.reverse and t <= last:
-        high = (t - (plan.node > node), MAX_SEQ)
-        if plan.node == node:
-            high = (t, seq - (plan.table.name >= table))
-    elif not read.reverse and t >= first:
-        low = (t + (plan.node < node), MIN_SEQ)
-        if plan.node == node and plan.table.name > table:
-            low = (t, seq)
-        elif plan.node == node:
-            low = (t, seq + 1) if seq < MAX_SEQ else (t + 1, MIN_SEQ)
-    return low, high
-
-
-def _open(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
-    """Request the first rows of a bucket by some queries (None: all rows); return them in order.
-
-    The request is sent before this returns.
-    """
-    if plan.table.packed:
-        return _blocks(plan, read, queries)
-    if queries is None:
-        return _Stream(plan, read, _EVERY_ROW).rows()
-    # The queries of a bucket share the memory of one.
-    share = plan._replace(page_rows=max(1, plan.page_rows // max(1, len(queries))))
-    return _merge(plan, read, [_Stream(share, read, query) for query in queries])
-
-
-def _blocks(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
-    """Request the first blocks of a bucket; return all of its messages in order."""
-    chooser = read.chooser
-    columns = None if read.columns is None else read.columns(plan.table)
-    bare = columns is not None and not columns  # the caller needs no field
-    bucket = _read_of(plan, read, queries, bare=bare)
-    if chooser is None or queries is None:
-        return stream(bucket)
-    return _learn_rows(plan, chooser, stream(bucket))
-
-
-def _read_of(plan: BucketPlan, read: Read, queries: Queries, *, bare: bool = False) -> BucketRead:
-    """Return the read of a bucket of blocks: of those that pass one of some queries; None = all."""
-    table, chooser = plan.table, read.chooser
-    return BucketRead(
-        plan.table,
-        plan.node,
-        plan.bucket,
-        _ends_of(plan, read),
-        read.reverse,
-        read.whose.writers,
-        bare=bare,
-        filters=None if queries is None else [terms for terms, _ in queries],
-        sift=None if chooser is None else chooser.sift(table),
-        opened=None if chooser is None else partial(chooser.opened, table),
-        wanted=plan.first_rows,
-        early=min(EARLY_BLOCKS, len({row.writer for row in plan.rows})),
-        page_bytes=plan.page_bytes,
-    )
+def _open_rows(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+    """Request the first messages of a bucket; return all of them in order."""
+    return layout_of(plan.table).open(plan, read, queries)
 
 
 def _open_blocks(
     plan: BucketPlan, read: Read, queries: Queries
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
     """Request the first blocks of a bucket; return all of its blocks, each with its read."""
-    bucket = _read_of(plan, read, queries)
-    blocks = opened(bucket)
-    if read.chooser is not None and queries is not None:
-        blocks = _learn_blocks(plan, read.chooser, blocks)
-    return zip(repeat(bucket), blocks)
-
-
-def _learn_blocks(
-    plan: BucketPlan, chooser: Chooser, blocks: Iterator[OpenedBlock]
-) -> Iterator[OpenedBlock]:
-    """Yield the blocks of a bucket; if all are taken, tell the chooser the number of messages."""
-    count = 0
-    for block in blocks:
-        count += block.left  # before the caller takes them out
-        yield block
-    chooser.learn(plan.table, plan.rows, count)
-
-
-def _learn_rows(plan: BucketPlan, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
-    """Yield the rows of a bucket; if all are taken, tell the chooser how many there were."""
-    count = 0
-    for row in rows:
-        count += 1
-        yield row
-    chooser.learn(plan.table, plan.rows, count)
-
-
-def _merge(plan: BucketPlan, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
-    """Yield the rows of several queries in one order, without duplicates.
-
-    If all are taken and the server refused no query, the chooser is told their number.
-    """
-    count, last = 0, None
-    row_streams = [stream.rows() for stream in streams]
-    all_rows = heapq.merge(*row_streams, key=_bucket_order, reverse=read.reverse)
-    single = len(row_streams) == 1  # one query returns no duplicates, and rows in order
-    for row in row_streams[0] if single else all_rows:
-        if single:
-            count += 1
-            yield row
-        elif _bucket_order(row) != last:
-            last = _bucket_order(row)
-            count += 1
-            yield row
-    if read.chooser is not None and not any(stream.refused for stream in streams):
-        read.chooser.learn(plan.table, plan.rows, count)
-
-
-def _bucket_order(row: TableRow) -> Order:
-    """Return what the rows of a bucket are sorted by."""
-    return row.t, row.seq
-
-
-class _Stream:
-    """The rows of one bucket that match one query. The first request is sent when it is made.
-
-    Attributes:
-        refused: Whether the server refused the query, so that all rows are read.
-    """
-
-    def __init__(self, plan: BucketPlan, read: Read, query: Query) -> None:
-        self._plan = plan
-        self._read = read
-        columns = None if read.columns is None else read.columns(plan.table)
-        self._columns = plan.table.columns if columns is None else columns
-        # Conditions are checked on columns, so then whole pages are not made into messages.
-        self._together = columns is None and read.chooser is None
-        self._partition_key = plan.table.partition_key(plan.node, plan.bucket)
-        self._terms, indexed = query
-        # To filter a row the server needs fewer columns than to return it. If few rows pass, only
-        # their keys are requested, and then these rows.
-        filtered = bool(self._terms) and not indexed
-        self._keyed = filtered and read.chooser is not None and read.chooser.few(plan.table)
-        # The server cannot reverse the order of the rows of an index.
-        self._turned = read.reverse and indexed
-        self.refused = False
-        # A writer id is the upper half of a _seq.
-        writers = read.whose.writers
-        self._heads = None if writers is None else {encode_int(writer) for writer in writers}
-        self._at_once = min(KEYS_AT_ONCE, plan.page_rows)
-        """Maximum number of rows that are fetched together by their keys."""
-        self._early: tuple[Sequence[RawRow], PagedRead | None] = ((), None)
-        """Keys of rows that were requested on the driver's thread, and this request."""
-        self._asked = self._start(None)
-
-    def _start(self, last: RawRow | None) -> PagedRead:
-        """Request the rows after the last one that was read."""
-        table = self._plan.table
-        if self._keyed:
-            self._prepared_by_keys()  # now: the driver's thread must not wait for the server
-        try:
-            return table.select_range(
-                KEYS if self._keyed else table.listing(self._columns),
-                self._partition_key,
-                _ends_of(self._plan, self._read),
-                terms=self._terms,
-                page_rows=self._plan.page_rows,
-                first_rows=0 if self._turned or last else self._plan.first_rows,
-                reverse=self._read.reverse and not self._turned,
-                last=last,
-                refused=is_refused if self._terms else None,
-                on_page=self._fetch_early if self._keyed else None,
-            )
-        except SchemaConflict as exc:
-            if not self._terms:
-                raise
-            return self._all(exc, last)
-
-    def _all(self, exc: object, last: RawRow | None) -> PagedRead:
-        """Go on with all rows, if a server forbids filtering or is too slow at it."""
-        topic = self._plan.table.metadata.topic
-        _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
-        self._terms, self._turned, self._keyed, self.refused = (), False, False, True
-        return self._start(last)
-
-    def rows(self) -> Iterator[TableRow]:
-        """Yield the rows in the order of reading."""
-        if self._turned:
-            rows = self._read_turned()
-            if rows is not None:
-                yield from sorted(rows, key=_bucket_order, reverse=True)
-                return
-            # All rows, from the newest on.
-            self._asked = self._all("an index does not give its rows, or too many", None)
-        last: RawRow | None = None
-        while True:
-            try:
-                for page in self._asked.pages():
-                    if self._keyed and self._are_too_many(page):
-                        break
-                    yield from self._rows_of(self._fetch(page) if self._keyed else page)
-                    last = self._asked.last
-                else:
-                    return
-                # From here on whole rows are filtered.
-                self._keyed = False
-                self._asked = self._start(last)
-            except DRIVER_ERRORS as exc:
-                self._asked = self._all(exc, last)
-
-    def _are_too_many(self, keys: Sequence[RawRow]) -> bool:
-        """Return whether there are so many keys that requesting whole rows is faster."""
-        if len(keys) <= KEYS_AT_ONCE:
-            return False
-        span = abs(decode_long(keys[-1][0]) - decode_long(keys[0][0]))
-        return len(keys) > KEYED_SHARE * self._plan.listed_in(span)
-
-    def _read_turned(self) -> list[TableRow] | None:
-        """Read the rows of an index, ascending; None if that fails or they are too many."""
-        rows: list[TableRow] = []
-        try:
-            for page in self._asked.pages():
-                rows.extend(self._rows_of(page))
-                if len(rows) > TURNED_PAGES * self._plan.page_rows:
-                    return None
-        except DRIVER_ERRORS as exc:
-            _log.info("topic %s by an index: %s", self._plan.table.metadata.topic, exc)
-            return None
-        return rows
-
-    def _rows_of(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
-        """Make rows of a page, or of some rows; leave out those of other writers, and expired ones.
-
-        Rows made with their messages (rows_of_page) have these in place of the columns.
-        """
-        table, node, heads = self._plan.table, self._plan.node, self._heads
-        if self._together and heads is None and isinstance(values, RawPage):
-            rows = rows_of_page(table, node, values)
-            if rows is not None:
-                return rows
-        if heads is not None:
-            values = (row for row in values if (row[1] or b"")[:4] in heads)
-        if table.metadata.ttl:
-            values = (row for row in values if not table.is_rest(row))
-        return map(partial(table.row_from_values, node), values)
-
-    def _fetch(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
-        """Fetch the rows of keys, in their order. Rows that were deleted meanwhile are missing."""
-        for n in range(0, len(keys), self._at_once):
-            batch = keys[n : n + self._at_once]
-            early, request = self._early
-            if request is None or early != batch:
-                request = self._ask_by_keys(batch)
-            yield from request.page()
-
-    def _fetch_early(self, keys: Sequence[RawRow]) -> None:
-        """Request the first rows as soon as their keys are here, on the driver's thread."""
-        if keys and not self._are_too_many(keys):
-            batch = keys[: self._at_once]
-            self._early = batch, self._ask_by_keys(batch)
-
-    def _prepared_by_keys(self) -> PreparedStatement:
-        """Return the statement that fetches rows by their keys."""
-        return self._plan.table.select_these(self._columns, reverse=self._read.reverse)
-
-    def _ask_by_keys(self, batch: Sequence[RawRow]) -> PagedRead:
-        """Request the rows of at most _at_once keys, in one page."""
-        values = (*self._partition_key, encode_orders([(t or b"", seq or b"") for t, seq in batch]))
-        return self._plan.table.send(bind(self._prepared_by_keys(), values, self._at_once))
+    return BlockLayout(plan.table).open_blocks(plan, read, queries)
 
 
 def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:
@@ -435,7 +101,7 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
     """
     sign = -1 if read.reverse else 1
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _BucketQueue(directory, tables, read, _open)
+    waiting = _BucketQueue(directory, tables, read, _open_rows)
     count = 0
     while heap or waiting.has_next:
         while waiting.has_next and (not heap or waiting.opens_before(heap[0][2].t, sign)):
@@ -638,7 +304,7 @@ class _BucketQueue(Generic[_T]):
     def _page_bytes(self, table: RowTable) -> int:
         """Return the size of a page of a table's bucket, by the number of buckets read at once."""
         # For filtered blocks only headers are requested ahead, for filtered rows the rows.
-        checks = self._read.chooser is not None and not table.packed
+        checks = self._read.chooser is not None and not layout_of(table).filters_headers
         pages = self._streams + (FILTERED_BUCKETS_AHEAD if self._few or checks else 1)
         return min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
 

@@ -19,6 +19,7 @@ from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.driver_errors import translate
 from cassandra_ros.store.connection.requests import Flight, Patience, RawRow
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.rows.writer import WRITE_BATCH_BYTES, WRITE_BATCH_ROWS
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
 from cassandra_ros.store.tables.row_table import (
@@ -64,22 +65,18 @@ class StoredColumns:
 def shared_columns(source: RowTable, target: RowTable) -> StoredColumns | None:
     """Return the columns of the rows of two tables; None if they store messages differently."""
     here, there = source.metadata, target.metadata
-    alike = (
-        here.format == there.format
-        and (source.named, source.packed) == (target.named, target.packed)
-        and source.stored_columns == target.stored_columns
-    )
-    if not alike:
+    names = layout_of(source).stored_columns
+    is_alike = here.format == there.format and source.named == target.named
+    if not is_alike or names != layout_of(target).stored_columns:
         return None
-    if source.packed:
-        # A block must lie in one bucket, and readers look back as far as its table says.
-        fits = target.bucket_ns % source.bucket_ns == 0 and there.span_ns >= here.span_ns
-        names = source.stored_columns
-        return StoredColumns(names, names) if fits else None
+    # A block must lie in one bucket, and readers look back as far as its table says.
+    fits = target.bucket_ns % source.bucket_ns == 0 and there.span_ns >= here.span_ns
+    if here.span_ns and not fits:
+        return None
     fields = tuple(name for name in here.indexes if name in there.indexes)
     return StoredColumns(
-        (*source.stored_columns, *(here.indexes[name] for name in fields)),
-        (*source.stored_columns, *(there.indexes[name] for name in fields)),
+        (*names, *(here.indexes[name] for name in fields)),
+        (*names, *(there.indexes[name] for name in fields)),
         fields,
     )
 
@@ -176,8 +173,8 @@ class VerbatimCopy:
         """
         source = self._source
         low, high = partition.ends
-        if source.packed:  # an earlier block may reach into the range
-            low = (max(low[0] - source.metadata.span_ns, ALL[0][0]), low[1])
+        # An earlier block may reach into the range; the span of a single message is 0.
+        low = (max(low[0] - source.metadata.span_ns, ALL[0][0]), low[1])
         request = source.select_range(
             self._names,
             source.partition_key(partition.node, partition.where),

@@ -41,7 +41,7 @@ from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.connection.driver_errors import is_passing, is_table_gone, translate
 from cassandra_ros.store.connection.protocol import EncodedRows, Prepared
 from cassandra_ros.store.connection.requests import Flight, Outcome, Patience
-from cassandra_ros.store.rows.row_counts import recount
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.checksum import crc32
 from cassandra_ros.store.tables.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.store.tables.row_table import (
@@ -188,10 +188,7 @@ class OpenBucket:
         self._shadows = shadows
         self.filled = filled
         names = shadows.names if shadows is not None else ()
-        if table.packed:
-            self._plain = full = table.insert_block()
-        else:
-            self._plain, full = table.insert(names, full=False), table.insert(names)
+        self._plain, full = layout_of(table).inserts(names)
         # Statements with few columns, and with all: most rows need only the first.
         self._plain_id, self._full_id = self._plain.query_id, full.query_id
         bound = BoundStatement(self._plain)
@@ -975,7 +972,7 @@ class RowWriter:
         totals, hidden = bucket.totals, 0
         try:
             if bucket.must_recount:
-                recounts = recount(bucket.table, bucket.node, bucket.bucket)
+                recounts = layout_of(bucket.table).recount(bucket.node, bucket.bucket)
                 totals = recounts.get(self._writer_id, BucketTotals())
                 if self._cassandra.finds_all_written:
                     hidden = max(0, bucket.totals.rows - totals.rows)

@@ -262,9 +262,7 @@ class RowTable:
 
     def insert_block(self) -> PreparedStatement:
         """Return the INSERT of a block: its key, the columns _BLOCK, and its zones."""
-        names = ("_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns)
-        marks = ", ".join("?" * len(names))
-        return self._prepare(f"INSERT INTO {self.qualified} ({_list(names)}) VALUES ({marks})")
+        return self.insert_stored(self.block_columns, expires=False)
 
     def insert_chunk(self) -> PreparedStatement:
         """Return the INSERT of one chunk of a large message."""
@@ -272,11 +270,14 @@ class RowTable:
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
     @property
-    def stored_columns(self) -> tuple[str, ...]:
-        """Names of the columns of a row after its partition key, without those of indexes."""
-        if self.packed:
-            return (*_OWN[:4], *_BLOCK, *self.zone_columns)
+    def row_columns(self) -> tuple[str, ...]:
+        """Names of the columns of a message's row after its partition key, without indexes."""
         return (*_OWN, *self.columns, *self._received)
+
+    @property
+    def block_columns(self) -> tuple[str, ...]:
+        """Names of the columns of a block's row after its partition key."""
+        return (*_OWN[:4], *_BLOCK, *self.zone_columns)
 
     def insert_stored(self, names: Sequence[str], *, expires: bool) -> PreparedStatement:
         """Return the INSERT of a row with these columns after its partition key.

@@ -241,7 +241,7 @@ class PieceCopy:
         """
         source, target = self._pair.source, self._pair.target
         row_books = [books.get((row.bucket, row.writer)) for row in rows]
-        if not source.packed or all(book and book.there == target.name for book in row_books):
+        if all(book and book.there == target.name for book in row_books):
             return False
         writers = frozenset(row.writer for row in rows)
         buckets = sorted({row.bucket for row in rows})
@@ -334,7 +334,7 @@ class PieceCopy:
         rows = self._pair.there.directory.find(target.name, row.node, row.bucket)
         entries = [r for r in rows if r.writer == row.writer and r.closed and r.rows >= row.rows]
         writers = frozenset([row.writer])
-        if entries and target.packed:
+        if entries:
             # Messages that were deleted in a block there are not copied again.
             blocks = headers(target, row.node, row.bucket, writers=writers)
             entries = [] if any(len(block.gone) for block in blocks) else entries

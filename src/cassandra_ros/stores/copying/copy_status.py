@@ -155,13 +155,13 @@ def uncopied(table: TopicTable, row: BucketRow, books: Iterable[CopiedBucket]) -
     writers = frozenset([row.writer])
     written = row_keys(table, row.node, row.bucket, writers)
     late = {key for key, written_us in written.items() if written_us > seen}
-    if table.packed:
-        blocks = headers(table, row.node, row.bucket, writers=writers) if late else ()
-        counts = [(b.messages - len(b.gone), b.t, b.last) for b in blocks if b.key in late]
-    else:
-        counts = [(1, t, t) for t, _ in late]
+    counts = {key: (1, key[0], key[0]) for key in late}
+    # A row without a header holds one message.
+    for block in headers(table, row.node, row.bucket, writers=writers) if late else ():
+        if block.key in late:
+            counts[block.key] = (block.left, block.t, block.last)
     return Uncopied(
-        min(most, sum(messages for messages, _, _ in counts)),
-        min((first for _, first, _ in counts), default=row.t_min),
-        max((last for _, _, last in counts), default=row.t_max),
+        min(most, sum(messages for messages, _, _ in counts.values())),
+        min((first for _, first, _ in counts.values()), default=row.t_min),
+        max((last for _, _, last in counts.values()), default=row.t_max),
     )

@@ -9,7 +9,7 @@ from uuid import UUID
 
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store.rows.fetch import list_names
-from cassandra_ros.store.rows.row_counts import scan_keys
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.copy_books import CopiedTable, CopyBooks
 from cassandra_ros.stores.copying.table_pair import TablePair
 from cassandra_ros.topics.keyspace import Keyspace
@@ -37,7 +37,7 @@ def delete_missing(
     whose = Whose((node,), frozenset([writer]))
     keys = {
         (t, seq)
-        for t, seq, *_ in scan_keys(pair.source, node, bucket, low, high)
+        for t, seq, *_ in layout_of(pair.source).keys(node, bucket, low, high)
         if whose.wrote(seq)
     }
     # Asked after the keys were read: who releases a bucket says so before anything is deleted.

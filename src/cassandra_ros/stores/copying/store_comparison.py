@@ -150,11 +150,12 @@ def _compare(
     time_range = TimeRange() if table.named else TimeRange(low, high)
     read = Read(time_range, Whose((node,), writers or None))
     place = BucketComparison(table.metadata.topic, node, *time_range, writers=writers)
-    if pair is not None and pair.columns is not None and table.packed:
-        # shared_columns has checked that the bucket lies in one bucket there.
+    if pair is not None and pair.columns is not None:
+        # shared_columns has checked that the bucket lies in one bucket there. Rows of single
+        # messages have no headers.
         digest_here = _digest_of_headers(table, node, bucket, read)
         digest_there = _digest_of_headers(pair.target, node, pair.target.bucket_of(low), read)
-        if digest_here == digest_there:
+        if digest_here.messages and digest_here == digest_there:
             return replace(place, here=digest_here, there=digest_there)
     # The same messages may be in other blocks there.
     digest_here = _digest(here.rows.read([table], read))

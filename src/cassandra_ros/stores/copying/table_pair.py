@@ -129,9 +129,9 @@ def find_pair(
     lengths = [(t.bucket_ns, t.metadata.span_ns) for t in (source, target)]
     differ = columns is None or thinned or source.metadata.cut or bool(source.metadata.replaces)
     differ = differ or lengths[0] != lengths[1]
-    if differ and target.packed and not target.metadata.cut:
+    if differ and target.metadata.noting_cut() != target.metadata:
         # An import of the same bag there must know that blocks begin at other messages.
-        there.schema.change_topic(metadata.topic, lambda other: other.with_(cut=True))
+        there.schema.change_topic(metadata.topic, TopicMetadata.noting_cut)
     return TablePair(here, there, source, target, columns)
 
 

@@ -16,7 +16,7 @@ import time
 from typing import Callable, Collection, Mapping, Tuple
 
 from cassandra_ros.errors import StoreUnavailable, TopicNotFound
-from cassandra_ros.store.rows.row_counts import recount
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.directory import HEARTBEAT_SEC, BucketRow, BucketTotals
 from cassandra_ros.stores.copying.table_pair import TablePair
 
@@ -127,7 +127,7 @@ class TargetBuckets:
                 continue  # its counts may lack a deletion that goes on: a reader counts it later
             counts = totals.get(key) if key in self._new else None
             if counts is None:
-                counted = recount(table, *place) if counted is None else counted
+                counted = layout_of(table).recount(*place) if counted is None else counted
                 counts = counted.get(row.writer, BucketTotals())
             if not directory.put_recount(table.name, row, counts, table.metadata.ttl):
                 # Another client has closed it, perhaps before our last row was there.

@@ -9,7 +9,7 @@ from typing import Iterator, Sequence
 
 from cassandra_ros.read import Read
 from cassandra_ros.store.rows.fetch import list_names
-from cassandra_ros.store.rows.row_counts import recount
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.stored_row import StoredRow
@@ -70,6 +70,6 @@ def _bucket_facts(directory: Directory, table: TopicTable, read: Read) -> Iterat
         else:
             uncounted.add((row.node, row.bucket))
     for node, bucket in sorted(uncounted):
-        recounts = recount(table, node, bucket)
+        recounts = layout_of(table).recount(node, bucket)
         by_writer = sorted((writer, vars(counts)) for writer, counts in recounts.items())
         yield repr((node, bucket, by_writer))

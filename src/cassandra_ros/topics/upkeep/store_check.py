@@ -15,8 +15,8 @@ import logging
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Callable, NamedTuple, Sequence
 from typing import Counter as Counts
-from typing import Sequence
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound, TopicNotFound
 from cassandra_ros.read import TimeRange
@@ -24,8 +24,8 @@ from cassandra_ros.store.blocks.block_row import WHOLE_BLOCK_COLUMNS, Block, Blo
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.requests import RawRow
 from cassandra_ros.store.rows.fetch import fetch_row, list_names
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.rows.orphans import old_us, orphans, partitions, remove_orphans, rows_at
-from cassandra_ros.store.rows.row_counts import recount
 from cassandra_ros.store.tables.directory import (
     STALE_SEC,
     BucketKey,
@@ -159,6 +159,19 @@ def check_store(
     return work.report
 
 
+class _Pages(NamedTuple):
+    """How the rows of a bucket are read and checked."""
+
+    names: str
+    """Columns to read, as CQL, beginning with those of the key."""
+    rows: int
+    """Number of rows of a page."""
+    check: Callable[[RawRow], None]
+    """Checks a row; raises CorruptMessage."""
+    extent: Callable[[RawRow], tuple[int, int, int]]
+    """Returns the first and the last key time of a damaged row, ns, and its number of messages."""
+
+
 class _Check:
     """Reads topics back, one after the other."""
 
@@ -227,35 +240,53 @@ class _Check:
             rows: Its entries in the directory, from which the size of a page is estimated.
             total: Number of messages of the table by the directory, for the progress.
         """
-        count, size = sum(row.rows for row in rows), sum(row.bytes for row in rows)
-        page = BLOCKS_AT_ONCE if table.packed else PAGE_BYTES * count // (size + 1) + 1
-        names = table.listing()
         if table.packed:
-            names = ", ".join([WHOLE_BLOCK_COLUMNS, '"_nan"', *map(quote_name, table.zone_columns)])
+            pages = self._block_pages(table, node)
+        else:
+            pages = self._message_pages(table, node, rows)
         request = table.select_range(
-            names,
+            pages.names,
             table.partition_key(node, bucket),
-            page_rows=min(page, MAX_PAGE_ROWS),
+            page_rows=min(pages.rows, MAX_PAGE_ROWS),
             what="checking",
         )
         for values in request.rows():
             if table.is_rest(values):
                 continue
-            t = decode_long(values[0])
             try:
-                if table.packed:
-                    self._block(table, node, read_block(table, values), values[_ZONES_AT:])
-                else:
-                    self._message(table, table.row_from_values(node, values))
+                pages.check(values)
             except CorruptMessage as exc:
-                last = decode_long(values[4]) if table.packed else t
-                lost = decode_long(values[5]) if table.packed else 1
+                t, last, lost = pages.extent(values)
                 key = t, decode_long(values[1])
                 # Otherwise it was deleted meanwhile.
                 if rows_at(table, table.partition_key(node, bucket), key):
                     ends = t, max(t, last)
                     self._note(DamageKind.MESSAGE, table, node, ends, lost, str(exc))
             self._tell(total)
+
+    def _message_pages(self, table: TopicTable, node: str, rows: list[BucketRow]) -> _Pages:
+        """Return how the rows of a bucket are read, each of which holds a message."""
+        count, size = sum(row.rows for row in rows), sum(row.bytes for row in rows)
+
+        def extent(values: RawRow) -> tuple[int, int, int]:
+            t = decode_long(values[0])
+            return t, t, 1
+
+        return _Pages(
+            table.listing(),
+            PAGE_BYTES * count // (size + 1) + 1,
+            lambda values: self._message(table, table.row_from_values(node, values)),
+            extent,
+        )
+
+    def _block_pages(self, table: TopicTable, node: str) -> _Pages:
+        """Return how the rows of a bucket are read, each of which holds a block."""
+        return _Pages(
+            ", ".join([WHOLE_BLOCK_COLUMNS, '"_nan"', *map(quote_name, table.zone_columns)]),
+            BLOCKS_AT_ONCE,
+            lambda values: self._block(table, node, read_block(table, values), values[_ZONES_AT:]),
+            lambda values: (decode_long(values[0]), decode_long(values[4]), decode_long(values[5])),
+        )
 
     def _message(self, table: TopicTable, row: TableRow) -> None:
         """Read a message that has its own row; raises CorruptMessage."""
@@ -322,7 +353,7 @@ class _Check:
         directory = self._space.directory
         before = directory.find(table.name, node, bucket)
         try:
-            recounts = recount(table, node, bucket)
+            recounts = layout_of(table).recount(node, bucket)
         except CorruptMessage:
             return  # reported when the bucket was read
         after = directory.find(table.name, node, bucket)

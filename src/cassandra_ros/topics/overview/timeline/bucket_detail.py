@@ -15,7 +15,7 @@ import numpy as np
 
 from cassandra_ros.read import Whose
 from cassandra_ros.store.blocks.block_counts import headers
-from cassandra_ros.store.rows.row_counts import scan_keys
+from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.topics.overview.timeline.range_counts import MessageKeys, RangeCounts
 from cassandra_ros.topics.overview.timeline.time_cells import (
     WIDE_CELLS,
@@ -123,7 +123,7 @@ def _keys(
     """Return the messages of some buckets in the picture; None = more than the budget permits."""
     rows: list[tuple[int, int, int]] = []
     for bucket in map(int, buckets):
-        scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
+        scan = layout_of(piece.table).keys(piece.node, bucket, scale.start, scale.end)
         keys = [(t, seq, size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
         # The bucket may have more messages than the directory says.
         if not budget.take_keys(len(keys)):

@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The layout of a table whose rows are blocks of messages; see store/tables/table_layout.py."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import repeat
+from typing import Iterator, Sequence
+
+from cassandra.query import PreparedStatement
+
+from cassandra_ros.keys import Position
+from cassandra_ros.read import Chooser, Read, Writers
+from cassandra_ros.store.blocks.block_counts import count_part, measure
+from cassandra_ros.store.blocks.block_lookup import MessageFinder, answer_one, ask_one
+from cassandra_ros.store.blocks.block_stream import (
+    EARLY_BLOCKS,
+    BucketRead,
+    OpenedBlock,
+    opened,
+    stream,
+)
+from cassandra_ros.store.tables.directory import BucketTotals
+from cassandra_ros.store.tables.row_table import (
+    FIRST,
+    LAST,
+    MAX_SEQ,
+    MIN_SEQ,
+    RowTable,
+    TableRow,
+)
+from cassandra_ros.store.tables.table_layout import (
+    Answer,
+    BucketPlan,
+    Finder,
+    MessageKey,
+    Queries,
+    Side,
+    ends_of,
+)
+
+
+class BlockLayout:
+    """Blocks are found by their headers and unpacked; their messages are merged."""
+
+    filters_headers = True
+
+    def __init__(self, table: RowTable) -> None:
+        self._table = table
+
+    @property
+    def stored_columns(self) -> tuple[str, ...]:
+        """Names of the columns of a block after its partition key."""
+        return self._table.block_columns
+
+    def inserts(self, shadows: Sequence[str]) -> tuple[PreparedStatement, PreparedStatement]:
+        """Return the INSERT of a block, twice: blocks have no indexes, and all columns."""
+        insert = self._table.insert_block()
+        return insert, insert
+
+    def open(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+        """Request the first blocks of a bucket; return all of its messages in order."""
+        columns = None if read.columns is None else read.columns(self._table)
+        bare = columns is not None and not columns  # the caller needs no field
+        rows = stream(self._bucket(plan, read, queries, bare=bare))
+        if read.chooser is None or queries is None:
+            return rows
+        return _learn_rows(plan, read.chooser, rows)
+
+    def open_blocks(
+        self, plan: BucketPlan, read: Read, queries: Queries
+    ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
+        """Request the first blocks of a bucket; return all of its blocks, each with its read."""
+        bucket = self._bucket(plan, read, queries)
+        blocks = opened(bucket)
+        if read.chooser is not None and queries is not None:
+            blocks = _learn_blocks(plan, read.chooser, blocks)
+        return zip(repeat(bucket), blocks)
+
+    def _bucket(
+        self, plan: BucketPlan, read: Read, queries: Queries, *, bare: bool = False
+    ) -> BucketRead:
+        """Return the read of the blocks of a bucket that pass one of some queries; None = all."""
+        table, chooser = self._table, read.chooser
+        return BucketRead(
+            table,
+            plan.node,
+            plan.bucket,
+            ends_of(plan, read),
+            read.reverse,
+            read.whose.writers,
+            bare=bare,
+            filters=None if queries is None else [terms for terms, _ in queries],
+            sift=None if chooser is None else chooser.sift(table),
+            opened=None if chooser is None else partial(chooser.opened, table),
+            wanted=plan.first_rows,
+            early=min(EARLY_BLOCKS, len({row.writer for row in plan.rows})),
+            page_bytes=plan.page_bytes,
+        )
+
+    def finder(self) -> Finder:
+        """Return what finds messages one after the other, none of them ahead.
+
+        The block of one message may hold the next ones, too.
+        """
+        finder = MessageFinder(self._table)
+        return lambda position: partial(finder.find, position)
+
+    def ask(self, position: Position, *, any_seq: bool = False) -> Answer:
+        """Request the blocks that may hold a message; any_seq: the first of its time and node."""
+        request = ask_one(self._table, position, any_seq=any_seq)
+        return partial(answer_one, self._table, position, request, any_seq=any_seq)
+
+    def ask_side(self, node: str, t: int, *, reverse: bool) -> Side:
+        """Request the first message of a node in the bucket of a time, from this time on."""
+        table = self._table
+        ends = (FIRST, (t, LAST[1])) if reverse else ((t, FIRST[1]), LAST)
+        bucket = BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1)
+        return partial(_lowest_first, stream(bucket))
+
+    def keys(self, node: str, bucket: int, low: int, high: int) -> Iterator[MessageKey]:
+        """Read the keys of the messages in [low, high], ns; blocks with one are unpacked."""
+        ends = (low, MIN_SEQ), (high, MAX_SEQ)
+        for row in stream(BucketRead(self._table, node, bucket, ends, bare=True)):
+            yield MessageKey(row.t, row.seq, row.size, row.nchunks > 0, row.odd)
+
+    def count(self, node: str, bucket: int, ends: tuple[int, int], writers: Writers = None) -> int:
+        """Return the number of messages; only blocks at both ends are unpacked."""
+        return count_part(self._table, node, bucket, *ends, writers)
+
+    def recount(self, node: str, bucket: int) -> dict[int, BucketTotals]:
+        """Count the messages of a bucket by writer id, by the headers of its blocks."""
+        by_writer: dict[int, BucketTotals] = {}
+        for block, rest in measure(self._table, node, bucket):
+            totals = by_writer.setdefault(block.writer, BucketTotals())
+            totals.add(rest.count, rest.bytes, rest.largest, (rest.t_min, rest.t_max), block.odd)
+        return by_writer
+
+
+def _learn_blocks(
+    plan: BucketPlan, chooser: Chooser, blocks: Iterator[OpenedBlock]
+) -> Iterator[OpenedBlock]:
+    """Yield the blocks of a bucket; if all are taken, tell the chooser the number of messages."""
+    count = 0
+    for block in blocks:
+        count += block.left  # before the caller takes them out
+        yield block
+    chooser.learn(plan.table, plan.rows, count)
+
+
+def _learn_rows(plan: BucketPlan, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
+    """Yield the rows of a bucket; if all are taken, tell the chooser how many there were."""
+    count = 0
+    for row in rows:
+        count += 1
+        yield row
+    chooser.learn(plan.table, plan.rows, count)
+
+
+def _lowest_first(messages: Iterator[TableRow]) -> Sequence[TableRow]:
+    """Return the lowest of the first messages that have the same time, as a list of at most one."""
+    first_rows: list[TableRow] = []
+    for row in messages:
+        if first_rows and row.t != first_rows[0].t:
+            break
+        first_rows.append(row)
+    return first_rows and [min(first_rows)]

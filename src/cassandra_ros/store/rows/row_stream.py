@@ -1,0 +1,216 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A read of one bucket in which each message has its own row: all rows, or those of queries.
+
+All rows of a bucket are read, or those that pass the server's filter.
+"""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from functools import partial
+from typing import Iterable, Iterator, Sequence
+
+from cassandra.query import PreparedStatement
+
+from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.read import Query, Read
+from cassandra_ros.store.connection.driver_errors import DRIVER_ERRORS, is_refused
+from cassandra_ros.store.connection.protocol import RawPage
+from cassandra_ros.store.connection.requests import PagedRead, RawRow
+from cassandra_ros.store.rows.page_rows import rows_of_page
+from cassandra_ros.store.tables.row_table import (
+    KEYS,
+    Order,
+    TableRow,
+    bind,
+    decode_long,
+    encode_int,
+    encode_orders,
+)
+from cassandra_ros.store.tables.table_layout import BucketPlan, ends_of
+
+_log = logging.getLogger(__name__)
+
+KEYS_AT_ONCE = 100
+"""Maximum number of rows that one statement fetches by their keys."""
+KEYED_SHARE = 0.04
+"""Largest share of a bucket's rows that is fetched by key after filtering. Above it the server
+returns whole rows."""
+TURNED_PAGES = 2
+"""Maximum number of pages of an index that are held in memory to reverse their order."""
+
+
+class RowStream:
+    """The rows of one bucket that match one query. The first request is sent when it is made.
+
+    Attributes:
+        refused: Whether the server refused the query, so that all rows are read.
+    """
+
+    def __init__(self, plan: BucketPlan, read: Read, query: Query) -> None:
+        self._plan = plan
+        self._read = read
+        columns = None if read.columns is None else read.columns(plan.table)
+        self._columns = plan.table.columns if columns is None else columns
+        # Conditions are checked on columns, so then whole pages are not made into messages.
+        self._together = columns is None and read.chooser is None
+        self._partition_key = plan.table.partition_key(plan.node, plan.bucket)
+        self._terms, indexed = query
+        # To filter a row the server needs fewer columns than to return it. If few rows pass, only
+        # their keys are requested, and then these rows.
+        filtered = bool(self._terms) and not indexed
+        self._keyed = filtered and read.chooser is not None and read.chooser.few(plan.table)
+        # The server cannot reverse the order of the rows of an index.
+        self._turned = read.reverse and indexed
+        self.refused = False
+        # A writer id is the upper half of a _seq.
+        writers = read.whose.writers
+        self._heads = None if writers is None else {encode_int(writer) for writer in writers}
+        self._at_once = min(KEYS_AT_ONCE, plan.page_rows)
+        """Maximum number of rows that are fetched together by their keys."""
+        self._early: tuple[Sequence[RawRow], PagedRead | None] = ((), None)
+        """Keys of rows that were requested on the driver's thread, and this request."""
+        self._asked = self._start(None)
+
+    def _start(self, last: RawRow | None) -> PagedRead:
+        """Request the rows after the last one that was read."""
+        table = self._plan.table
+        if self._keyed:
+            self._prepared_by_keys()  # now: the driver's thread must not wait for the server
+        try:
+            return table.select_range(
+                KEYS if self._keyed else table.listing(self._columns),
+                self._partition_key,
+                ends_of(self._plan, self._read),
+                terms=self._terms,
+                page_rows=self._plan.page_rows,
+                first_rows=0 if self._turned or last else self._plan.first_rows,
+                reverse=self._read.reverse and not self._turned,
+                last=last,
+                refused=is_refused if self._terms else None,
+                on_page=self._fetch_early if self._keyed else None,
+            )
+        except SchemaConflict as exc:
+            if not self._terms:
+                raise
+            return self._all(exc, last)
+
+    def _all(self, exc: object, last: RawRow | None) -> PagedRead:
+        """Go on with all rows, if a server forbids filtering or is too slow at it."""
+        topic = self._plan.table.metadata.topic
+        _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
+        self._terms, self._turned, self._keyed, self.refused = (), False, False, True
+        return self._start(last)
+
+    def rows(self) -> Iterator[TableRow]:
+        """Yield the rows in the order of reading."""
+        if self._turned:
+            rows = self._read_turned()
+            if rows is not None:
+                yield from sorted(rows, key=_bucket_order, reverse=True)
+                return
+            # All rows, from the newest on.
+            self._asked = self._all("an index does not give its rows, or too many", None)
+        last: RawRow | None = None
+        while True:
+            try:
+                for page in self._asked.pages():
+                    if self._keyed and self._are_too_many(page):
+                        break
+                    yield from self._rows_of(self._fetch(page) if self._keyed else page)
+                    last = self._asked.last
+                else:
+                    return
+                # From here on whole rows are filtered.
+                self._keyed = False
+                self._asked = self._start(last)
+            except DRIVER_ERRORS as exc:
+                self._asked = self._all(exc, last)
+
+    def _are_too_many(self, keys: Sequence[RawRow]) -> bool:
+        """Return whether there are so many keys that requesting whole rows is faster."""
+        if len(keys) <= KEYS_AT_ONCE:
+            return False
+        span = abs(decode_long(keys[-1][0]) - decode_long(keys[0][0]))
+        return len(keys) > KEYED_SHARE * self._plan.listed_in(span)
+
+    def _read_turned(self) -> list[TableRow] | None:
+        """Read the rows of an index, ascending; None if that fails or they are too many."""
+        rows: list[TableRow] = []
+        try:
+            for page in self._asked.pages():
+                rows.extend(self._rows_of(page))
+                if len(rows) > TURNED_PAGES * self._plan.page_rows:
+                    return None
+        except DRIVER_ERRORS as exc:
+            _log.info("topic %s by an index: %s", self._plan.table.metadata.topic, exc)
+            return None
+        return rows
+
+    def _rows_of(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
+        """Make rows of a page, or of some rows; leave out those of other writers, and expired ones.
+
+        Rows made with their messages (rows_of_page) have these in place of the columns.
+        """
+        table, node, heads = self._plan.table, self._plan.node, self._heads
+        if self._together and heads is None and isinstance(values, RawPage):
+            rows = rows_of_page(table, node, values)
+            if rows is not None:
+                return rows
+        if heads is not None:
+            values = (row for row in values if (row[1] or b"")[:4] in heads)
+        if table.metadata.ttl:
+            values = (row for row in values if not table.is_rest(row))
+        return map(partial(table.row_from_values, node), values)
+
+    def _fetch(self, keys: Sequence[RawRow]) -> Iterator[RawRow]:
+        """Fetch the rows of keys, in their order. Rows that were deleted meanwhile are missing."""
+        for n in range(0, len(keys), self._at_once):
+            batch = keys[n : n + self._at_once]
+            early, request = self._early
+            if request is None or early != batch:
+                request = self._ask_by_keys(batch)
+            yield from request.page()
+
+    def _fetch_early(self, keys: Sequence[RawRow]) -> None:
+        """Request the first rows as soon as their keys are here, on the driver's thread."""
+        if keys and not self._are_too_many(keys):
+            batch = keys[: self._at_once]
+            self._early = batch, self._ask_by_keys(batch)
+
+    def _prepared_by_keys(self) -> PreparedStatement:
+        """Return the statement that fetches rows by their keys."""
+        return self._plan.table.select_these(self._columns, reverse=self._read.reverse)
+
+    def _ask_by_keys(self, batch: Sequence[RawRow]) -> PagedRead:
+        """Request the rows of at most _at_once keys, in one page."""
+        values = (*self._partition_key, encode_orders([(t or b"", seq or b"") for t, seq in batch]))
+        return self._plan.table.send(bind(self._prepared_by_keys(), values, self._at_once))
+
+
+def merged(plan: BucketPlan, read: Read, streams: Sequence[RowStream]) -> Iterator[TableRow]:
+    """Yield the rows of several queries in one order, without duplicates.
+
+    If all are taken and the server refused no query, the chooser is told their number.
+    """
+    count, last = 0, None
+    row_streams = [stream.rows() for stream in streams]
+    all_rows = heapq.merge(*row_streams, key=_bucket_order, reverse=read.reverse)
+    single = len(row_streams) == 1  # one query returns no duplicates, and rows in order
+    for row in row_streams[0] if single else all_rows:
+        if single:
+            count += 1
+            yield row
+        elif _bucket_order(row) != last:
+            last = _bucket_order(row)
+            count += 1
+            yield row
+    if read.chooser is not None and not any(stream.refused for stream in streams):
+        read.chooser.learn(plan.table, plan.rows, count)
+
+
+def _bucket_order(row: TableRow) -> Order:
+    """Return what the rows of a bucket are sorted by."""
+    return row.t, row.seq

@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How the messages of a table lie in its rows, and what is asked of either way.
+
+A row holds one message (RowLayout in store/rows/layouts.py) or a block of messages (BlockLayout in
+store/blocks/block_layout.py); ``layout_of`` chooses. Readers get each message as a TableRow.
+"""
+
+from __future__ import annotations
+
+from typing import Callable, Iterator, NamedTuple, Optional, Protocol, Sequence
+
+from cassandra.query import PreparedStatement
+
+from cassandra_ros.keys import Position
+from cassandra_ros.read import Query, Read, Writers
+from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
+from cassandra_ros.store.tables.row_table import MAX_SEQ, MIN_SEQ, Order, RowTable, TableRow
+
+Queries = Optional[Sequence[Query]]
+"""Queries that return the rows of a bucket that may match; None = read all rows."""
+Answer = Callable[[], Optional[TableRow]]
+"""Waits for a message that was requested, and returns it; None = there is no such message."""
+Finder = Callable[[Position], Answer]
+"""Requests a message by its position."""
+Side = Callable[[], Optional[Sequence[TableRow]]]
+"""Waits for the message nearest to a time, and returns it as a list of at most one; None = it is
+not certain which one that is."""
+
+
+class MessageKey(NamedTuple):
+    """Key of a stored message, and what a count needs of it."""
+
+    t: int
+    seq: int
+    size: int
+    """Serialised size, bytes."""
+    chunked: bool
+    """Whether its bytes are in the chunk table."""
+    odd: bool
+    """Whether some column does not hold its field exactly."""
+
+
+class BucketPlan(NamedTuple):
+    """A bucket to be read, with the sizes of its pages."""
+
+    start: int
+    """Time at which it begins, in the direction of reading, ns. Reads in reverse begin at the end
+    of the bucket or of the read's time range."""
+    table: RowTable
+    node: str
+    bucket: int
+    rows: Sequence[BucketRow]
+    """Rows of its writers in the directory; empty = there is no bucket, and the entry only tells
+    how far the directory was read."""
+    page_rows: int = 0
+    """Maximum number of rows in a page."""
+    page_bytes: int = 0
+    """Approximate maximum size of its messages in memory, bytes."""
+    first_rows: int = 0
+    """Number of rows of its first page, from which pages grow; 0 = page_rows."""
+
+    @property
+    def listed(self) -> int:
+        """Number of rows by the directory, which is exact for a closed bucket."""
+        return sum(row.rows for row in self.rows)
+
+    def listed_in(self, span_ns: int) -> float:
+        """Return the number of rows in a time range of this length, if they are evenly spread."""
+        ends = [(row.t_min, row.t_max) for row in self.rows if row.rows]
+        length = max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0
+        return self.listed * min(1.0, span_ns / max(1, length))
+
+
+def ends_of(plan: BucketPlan, read: Read) -> tuple[Order, Order]:
+    """Return the first and the last row key in a bucket that the read includes.
+
+    A cursor is a place in the order (t, node, seq, table). So the rows at its time were read before
+    if their node comes first, and those with its seq if their table does.
+    """
+    first, last = read.time_range
+    low, high = (first, MIN_SEQ), (last, MAX_SEQ)
+    if read.after is None:
+        return low, high
+    t, node, seq, table, _ = read.after
+    if read.reverse and t <= last:
+        high = (t - (plan.node > node), MAX_SEQ)
+        if plan.node == node:
+            high = (t, seq - (plan.table.name >= table))
+    elif not read.reverse and t >= first:
+        low = (t + (plan.node < node), MIN_SEQ)
+        if plan.node == node and plan.table.name > table:
+            low = (t, seq)
+        elif plan.node == node:
+            low = (t, seq + 1) if seq < MAX_SEQ else (t + 1, MIN_SEQ)
+    return low, high
+
+
+class TableLayout(Protocol):
+    """What is asked of the rows of one table, whose times are keys unless it says otherwise."""
+
+    filters_headers: bool
+    """Whether of a filtered bucket small headers are read first."""
+
+    @property
+    def stored_columns(self) -> tuple[str, ...]:
+        """Names of the columns of a row after its partition key, without those of indexes."""
+
+    def inserts(self, shadows: Sequence[str]) -> tuple[PreparedStatement, PreparedStatement]:
+        """Return the INSERT that most rows need, with fewer columns, and that of any row.
+
+        Args:
+            shadows: Columns of indexes, whose values come last.
+        """
+
+    def open(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+        """Request the first messages of a bucket; return all of them in the order of the read.
+
+        The request is sent before this returns. A chooser of the read is told how many there were.
+        """
+
+    def finder(self) -> Finder:
+        """Return what finds one message after the other; they may be requested ahead."""
+
+    def ask(self, position: Position, *, any_seq: bool = False) -> Answer:
+        """Request one message, also one with a name; any_seq: the first of its time and node.
+
+        The answer raises CorruptMessage if what holds the message is damaged.
+        """
+
+    def ask_side(self, node: str, t: int, *, reverse: bool) -> Side:
+        """Request the first message of a node in the bucket of a time, from this time on.
+
+        Args:
+            reverse: False = at or after the time, True = at or before it. Of several messages with
+                the same time it is the first.
+        """
+
+    def keys(self, node: str, bucket: int, low: int, high: int) -> Iterator[MessageKey]:
+        """Read the keys of the messages of a bucket with a time in [low, high], ns, in order."""
+
+    def count(self, node: str, bucket: int, ends: tuple[int, int], writers: Writers = None) -> int:
+        """Return the number of messages of writers with a time in ``ends``, ns, both included."""
+
+    def recount(self, node: str, bucket: int) -> dict[int, BucketTotals]:
+        """Count the messages that a bucket has now, by writer id."""
