@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import threading
 import time
@@ -23,7 +24,7 @@ from suites import sparing
 from threads import together
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.errors import ClockNotSet, ConnectionFailed, StoreUnavailable
+from cassandra_ros.errors import AccessDenied, ClockNotSet, ConnectionFailed, StoreUnavailable
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording import message_buffer
 from cassandra_ros.recording import recording as recording_module
@@ -262,6 +263,50 @@ def test_a_context_is_kept_when_the_store_is_back(rosCas, monkeypatch):
     await_true(lambda: tries)
     recorder.close()
     assert rosCas.runContext(recorder.writer_id).params == {"robot": "husky"}
+
+
+@pytest.mark.parametrize(
+    "context",
+    [
+        RunContext({"deep": functools.reduce(lambda inner, _: [inner], range(300), 0)}),
+        RunContext({"robot": "husky"}),
+    ],
+    ids=["invalid", "denied"],
+)
+def test_a_context_that_cannot_be_stored_keeps_no_loss_back(rosCas, monkeypatch, caplog, context):
+    monkeypatch.setattr(recording_module, "SAVE_SEC", 0.01)
+    registry = rosCas.catalog.keyspace.registry
+    if "deep" not in context.params:
+
+        def denied(*context):
+            raise AccessDenied("no right to modify cr_context", "MODIFY")
+
+        monkeypatch.setattr(registry, "put_context", denied)
+    recorder = Recording(rosCas.catalog, name="drive")
+    recorder.put_context(context)
+    recorder.lose("/text", LossKind.UNHEARD, 0, T0, T0)
+    await_true(lambda: rosCas.losses())  # during the recording
+    recorder.lose("/text", LossKind.NOT_READ, 1, T0, T0)
+    recorder.close()
+    assert {loss.kind for loss in rosCas.losses()} == {LossKind.UNHEARD, LossKind.NOT_READ}
+    assert caplog.text.count("the parameters of run drive are not stored: ") == 1
+
+
+def test_a_context_that_comes_too_late_is_told(rosCas, monkeypatch, caplog):
+    registry = rosCas.catalog.keyspace.registry
+
+    def away(*context):
+        raise StoreUnavailable("away")
+
+    monkeypatch.setattr(registry, "put_context", away)
+    recorder = Recording(rosCas.catalog, name="drive")
+    recorder.put_context(RunContext({"robot": "husky"}))
+    recorder.close()
+    assert "the parameters of run drive are not stored: the store did not answer" in caplog.text
+    late = Recording(rosCas.catalog, name="walk")
+    late.close()
+    late.put_context(RunContext({"robot": "husky"}))
+    assert "the parameters of run walk came after its end" in caplog.text
 
 
 def test_what_is_given_up_is_counted(far, proxy, rosCas):

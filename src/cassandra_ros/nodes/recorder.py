@@ -595,7 +595,7 @@ def take_context() -> RunContext:
 
     Raises:
         MASTER_ERRORS: The master does not answer.
-        ValueError: The answer of the master has another form.
+        ValueError, TypeError: The answer of the master has another form.
     """
     name, master = rospy.get_name(), master_proxy(CONTEXT_TIMEOUT_SEC)
     _, _, params = master.getParam(name, "/")
@@ -606,7 +606,10 @@ def take_context() -> RunContext:
 
 
 def keep_context(recording: Recording) -> threading.Thread:
-    """Store the present context with a run, in the background."""
+    """Store the present context with a run, in the background.
+
+    Failures are logged, and that it came after the end of the run.
+    """
 
     def work() -> None:
         try:

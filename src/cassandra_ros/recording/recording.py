@@ -714,9 +714,14 @@ class Recording:
     def put_context(self, context: RunContext) -> None:
         """Store parameters and node graph with the run, in the background.
 
-        They are lost if the store does not answer until the end.
+        They are lost, with a warning, if they come after the end of the run, if the store does not
+        answer before it, or if they cannot be stored.
         """
         self._context = context
+        if self._ended.is_set():  # the last call of ``_save`` may have come before
+            _log.warning(
+                "the parameters of run %s came after its end and may not be stored", self.name
+            )
 
     def _keep(self) -> None:
         """Store losses and the context at intervals until the end, on a thread."""
@@ -725,22 +730,51 @@ class Recording:
 
     def _save(self) -> None:
         """Store new losses and the context; if the store does not answer, the next call does so."""
-        if not is_there(self._store):
-            return
-        registry = self._store.result().keyspace.registry
-        try:
+        if is_there(self._store):
             # One thread at a time: an older loss must not overwrite a newer one.
             with self._saving:
-                if self._context is not None:
-                    registry.put_context(self.writer_id, self.node, self._context)
-                    self._context = None
-                for loss in self._losses.unsaved():
-                    registry.put_loss(loss)
-                    self._losses.saved(loss)
+                # Each in its own ``try``: an error of the context must not keep the losses back.
+                self._save_context()
+                self._save_losses()
+
+    def _save_last(self) -> None:
+        """Store losses and the context at the end, for the last time."""
+        self._save()
+        self._tell_lost_context()
+
+    def _save_context(self) -> None:
+        """Store the context, if there is one; drop it after an error that does not pass."""
+        if self._context is None:
+            return
+        try:
+            registry = self._store.result().keyspace.registry
+            registry.put_context(self.writer_id, self.node, self._context)
+        except StoreUnavailable as exc:
+            _log.debug("the parameters of run %s are written later: %s", self.name, exc)
+            return
+        except CassandraRosError as exc:
+            _log.warning("the parameters of run %s are not stored: %s", self.name, exc)
+        self._context = None
+
+    def _save_losses(self) -> None:
+        """Store the losses that are new or have grown."""
+        try:
+            for loss in self._losses.unsaved():
+                self._store.result().keyspace.registry.put_loss(loss)
+                self._losses.saved(loss)
         except StoreUnavailable as exc:
             _log.debug("losses are written later: %s", exc)
         except CassandraRosError as exc:
-            _log.warning("losses or parameters of the run cannot be kept: %s", exc)
+            _log.warning("losses of run %s cannot be stored: %s", self.name, exc)
+
+    def _tell_lost_context(self) -> None:
+        """Log that the context is lost, if it still waits for the store."""
+        if self._context is not None:
+            _log.warning(
+                "the parameters of run %s are not stored: the store did not answer before the end "
+                "of the run",
+                self.name,
+            )
 
     def stop(self, timeout_sec: float | None = None) -> bool:
         """Accept no more messages and store the waiting ones.
@@ -816,7 +850,7 @@ class Recording:
                 self._finish_spool()
                 return self.reports()
             self._end_counts()
-            self._save()
+            self._save_last()
             self._places.close()
         lost = {report.topic: report.lost for report in self.reports() if report.lost}
         for writer in self._writers:
@@ -835,6 +869,7 @@ class Recording:
         for writer in self._writers:
             _try_to(writer.close)
         self._ended.set()
+        self._tell_lost_context()
         self._places.close(wait=False)
         if self._backlog is not None:
             self._backlog.keep_rest()
@@ -894,7 +929,7 @@ class Recording:
                 return self.reports()
         self._end_counts()
         # The losses are stored if the store answers in time; the process may end before.
-        self._thread_of(self._save, "recorder-losses").join(LOSSES_WAIT_SEC)
+        self._thread_of(self._save_last, "recorder-losses").join(LOSSES_WAIT_SEC)
         return self.reports()
 
     def _end_counts(self) -> None:
