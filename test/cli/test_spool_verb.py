@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 
 import pytest
 from nodes.raw_publisher import header_of, message
@@ -143,6 +144,38 @@ def test_a_run_that_is_recorded_is_left_alone(leave, spool, tmp_path):
     assert spool("drop", "--yes")[:2] == (0, "nothing of the spool is deleted\n")
     held.release()
     assert [each["id"] for each in json.loads(spool("list", "--json")[1])] == ["7"]
+
+
+def test_a_drop_checks_before_it_asks(leave, spool, tmp_path):
+    assert spool("drop") == (0, "nothing of the spool is deleted\n", "")
+    leave(7)
+    leave(8)
+    status, _, err = spool("drop", "7", "9")
+    assert status == 1
+    assert "has no run 9; it has 7, 8" in err
+    assert "Delete" not in err
+    other, running = sorted(SpoolFolder(tmp_path / "spool").left(), key=lambda f: f.path.name)
+    other.release()
+    status, _, err = spool("drop", "7", "8", "--yes")
+    assert status == 1
+    assert "run 8 is being recorded" in err
+    assert "Delete" not in spool("drop", "8")[2]
+    assert [each["id"] for each in json.loads(spool("list", "--json")[1])] == ["7", "8"]
+    assert "Delete 10 messages of the spool?" in spool("drop")[2]
+    running.release()
+    assert "Delete 20 messages of the spool?" in spool("drop")[2]
+    assert len(list(SpoolFolder(tmp_path / "spool").left())) == 2  # no lock was left behind
+
+
+def test_a_run_that_cannot_be_deleted_is_told(leave, spool, monkeypatch, tmp_path):
+    leave(7)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", lambda path, ignore_errors: None)
+        status, out, err = spool("drop", "--yes")
+        assert (status, out) == (1, "")
+        assert f"run run7 stays in the spool: {tmp_path / 'spool' / '7'} cannot be deleted" in err
+        assert json.loads(spool("drain", "--json")[1])[0]["complete"] is False
+    assert spool("drop", "--yes")[:2] == (0, "run run7 is deleted from the spool\n")
 
 
 def test_a_drain_that_leaves_something_is_no_success(leave, spool, rosCas, cql):

@@ -212,8 +212,7 @@ class Drain:
                 with suppress(StoreUnavailable):
                     writer.close()
         if not self._drained.stays:
-            self._left_run.folder.remove()
-            self._drained.complete = True
+            self._drained.complete = self._left_run.folder.remove()
         return self._drained
 
     def _begin(self) -> None:

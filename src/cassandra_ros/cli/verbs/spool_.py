@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Iterator, NamedTuple, Sequence
 
@@ -36,7 +37,7 @@ from cassandra_ros.errors import BagError, SpoolError
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.files.spool.spool_folder import SpoolFolder
+    from cassandra_ros.files.spool.spool_folder import RunFolder, SpoolFolder
     from cassandra_ros.recording.spool_drain import LeftRun
 
 _ACTIONS = ("list", "drain", "export", "drop")
@@ -82,16 +83,14 @@ def run(options: argparse.Namespace) -> int:
     return {"list": _list, "drain": _drain, "drop": _drop}[options.action](options, folder)
 
 
-def _lock_runs(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
-    """Yield the runs with these ids, or all, that no running recorder uses.
+def _lock_folders(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[RunFolder]:
+    """Yield the folders of the runs with these ids, locked; without ids all that are not in use.
 
-    Each is locked until the next one is asked for.
+    The caller releases or removes each.
 
     Raises:
         SpoolError: The spool has no run of an id, or its recorder is running.
     """
-    from cassandra_ros.recording.spool_drain import read_left
-
     present_ids = {path.name for path in folder.runs()}
     for name in ids:
         if name not in present_ids:
@@ -99,15 +98,28 @@ def _lock_runs(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
             raise SpoolError(f"the spool {folder.path} has no run {name}; it has {names}")
     unlocked_names = set()
     for run_folder in folder.left():
-        try:
-            if not ids or run_folder.path.name in ids:
-                unlocked_names.add(run_folder.path.name)
-                yield read_left(run_folder)
-        finally:
+        if ids and run_folder.path.name not in ids:
             run_folder.release()
+            continue
+        unlocked_names.add(run_folder.path.name)
+        yield run_folder
     for name in ids:
         if name not in unlocked_names:
             raise SpoolError(f"run {name} is being recorded: end its recorder first")
+
+
+def _lock_runs(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
+    """Yield the runs of ``_lock_folders``, also its errors.
+
+    Each is locked until the next one is asked for.
+    """
+    from cassandra_ros.recording.spool_drain import read_left
+
+    for run_folder in _lock_folders(folder, ids):
+        try:
+            yield read_left(run_folder)
+        finally:
+            run_folder.release()
 
 
 def _describe_run(path: Path, state: str) -> _ListedRun:
@@ -207,22 +219,36 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
 
 
 def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
-    ids = options.runs or _left_names(folder)
-    if not options.yes:
-        listed = [_describe_run(folder.path / name, "left") for name in ids]
-        messages = sum(listed_run.messages for listed_run in listed)
-        confirm(f"Delete {counted(messages, 'message')} of the spool?", "\n".join(ids))
-    dropped = []
-    for left_run in _lock_runs(folder, ids) if ids else ():
-        left_run.folder.remove()
-        dropped.append(left_run.folder.path.name)
-        if not (options.quiet or options.json):
-            print(f"run {shown(left_run.name)} is deleted from the spool")
+    """Delete the runs that are named, else all that no recorder uses; return the status."""
+    from cassandra_ros.recording.spool_drain import read_left
+
+    dropped, failed = [], False
+    with ExitStack() as locks:
+        # All are locked before the question: no other process may store or delete them meanwhile.
+        run_folders = []
+        for run_folder in _lock_folders(folder, options.runs):
+            locks.callback(run_folder.release)
+            run_folders.append(run_folder)
+        if run_folders and not options.yes:
+            listed = [_describe_run(run_folder.path, "left") for run_folder in run_folders]
+            messages = sum(listed_run.messages for listed_run in listed)
+            ids = "\n".join(listed_run.id for listed_run in listed)
+            confirm(f"Delete {counted(messages, 'message')} of the spool?", ids)
+        for run_folder in run_folders:
+            name, path = shown(read_left(run_folder).name), run_folder.path
+            if not run_folder.remove():
+                failed = True
+                text = f"run {name} stays in the spool: {path} cannot be deleted; delete it by hand"
+                print(text, file=sys.stderr)
+                continue
+            dropped.append(path.name)
+            if not (options.quiet or options.json):
+                print(f"run {name} is deleted from the spool")
     if options.json:
         print_json(dropped)
-    elif not (dropped or options.quiet):
+    elif not (dropped or failed or options.quiet):
         print("nothing of the spool is deleted")
-    return 0
+    return int(failed)
 
 
 def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:

@@ -150,10 +150,13 @@ class RunFolder:
         if lock >= 0:
             os.close(lock)
 
-    def remove(self) -> None:
-        """Delete the folder with all files, and release the lock."""
+    def remove(self) -> bool:
+        """Delete the folder with all files, release the lock; return whether nothing stays."""
         shutil.rmtree(self.path, ignore_errors=True)
+        # Before the release: after it another process may make a folder of this name.
+        is_gone = not self.path.exists()
         self.release()
+        return is_gone
 
 
 class SpoolFolder:
