@@ -46,6 +46,20 @@ def bad_bag(request, tmp_path):
     return tmp_path / "a.bag", told
 
 
+def test_each_name_that_is_refused_is_told_once(rosCas, tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        for topic, callerid in (("/b\0ad", "/one"), ("/b\0ad", "/two"), ("/w\0rse", "/one")):
+            number = writer.connection(string_connection(topic, callerid=callerid))
+            writer.write(number, T0, string_wire(topic))
+    report = import_bag(rosCas, path)
+    assert report.lost == {"/b\0ad": 2, "/w\0rse": 1}
+    assert [text.split(": ")[1] for text in report.warnings] == [
+        "2 messages are not stored",
+        "1 messages are not stored",
+    ]
+
+
 @pytest.mark.parametrize("salvage", [False, True])
 def test_a_bad_connection_does_not_hide_the_others(bad_bag, salvage):
     path, told = bad_bag

@@ -421,7 +421,7 @@ def test_a_topic_that_cannot_be_stored_is_counted_beside_the_others(call, rosCas
         assert out.count("7 messages of 2 topics are in") == 2
         lines = err.splitlines()
         assert len(lines) == 2
-        assert lines[0].startswith(f"cassandra_bag: {path}: 3 messages are not stored, all others")
+        assert lines[0].startswith(f"cassandra_bag: {path}: 3 messages are not stored: ")
         assert repr(bad) in lines[0]
         assert "import a copy of the bag in which their topic has another name" in lines[0]
         assert [row.topic for row in rosCas.readMessages()].count("/good") == 5

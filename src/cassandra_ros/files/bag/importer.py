@@ -8,7 +8,7 @@ import logging
 import os
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import TracebackType
@@ -317,13 +317,13 @@ def _tell_hidden(stats: Mapping[str, WriteStats], report: ImportReport) -> bool:
     for topic, count in hidden.items():
         report.topics[topic].messages -= count
         report.lost[topic] = report.lost.get(topic, 0) + count
-        report.warnings.append(
+        _warn(
+            report,
             f"{report.path}: {count} messages of topic {topic} were stored, but cannot be read: "
             "they were deleted meanwhile, or before by a server whose clock is ahead, so that this "
             "deletion has the later time. Set the clocks of the servers (NTP, chrony), and import "
-            "it once more when that time has passed"
+            "it once more when that time has passed",
         )
-        _log.warning("%s", report.warnings[-1])
     return bool(hidden)
 
 
@@ -336,8 +336,7 @@ def _store_events(events: Events, reader: MessageFile, run: Run, report: ImportR
                 events.put(event)
             report.events += 1
         except (BagError, InvalidKey, InvalidName, InvalidOption) as exc:
-            report.warnings.append(f"an event is not stored: {exc}")
-            _log.warning("%s", report.warnings[-1])
+            _warn(report, f"an event is not stored: {exc}")
 
 
 def _is_stored(events: Events, event: Event) -> bool:
@@ -404,29 +403,42 @@ def _notes(
     return notes
 
 
+def _warn(report: ImportReport, text: str) -> None:
+    """Log a warning and add it to the report."""
+    report.warnings.append(text)
+    _log.warning("%s", text)
+
+
 def _tell_damage(report: ImportReport) -> None:
     if report.salvaged.why:
-        report.warnings.append(report.salvaged.told(report.path))
-        _log.warning("%s", report.warnings[-1])
+        _warn(report, report.salvaged.told(report.path))
 
 
 def _refuse_names(reader: MessageFile, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
-    """Report the topics whose names cannot be stored; return the numbers of other connections."""
-    kept: set[int] = set()
+    """Return the numbers of connections whose topics can be stored; report each other topic once.
+
+    Args:
+        numbers: Numbers of the connections to choose from.
+    """
+    usable: set[int] = set()
+    refused: Counter[str] = Counter()
+    reasons: dict[str, InvalidName] = {}
     for number in sorted(numbers):
         topic = reader.connections[number].topic
         try:
             check_new_topic(topic)
-            kept.add(number)
+            usable.add(number)
         except InvalidName as exc:
-            count = reader.counts[number]
-            report.lost[topic] = report.lost.get(topic, 0) + count
-            report.warnings.append(
-                f"{reader.path}: {count} messages are not stored, all others are: {exc}; to store "
-                "them too, import a copy of the bag in which their topic has another name"
-            )
-            _log.warning("%s", report.warnings[-1])
-    return kept
+            refused[topic] += reader.counts[number]
+            reasons[topic] = exc
+    for topic, count in refused.items():
+        report.lost[topic] = report.lost.get(topic, 0) + count
+        _warn(
+            report,
+            f"{reader.path}: {count} messages are not stored: {reasons[topic]}; to store them too, "
+            "import a copy of the bag in which their topic has another name",
+        )
+    return usable
 
 
 def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: ImportReport) -> None:
@@ -434,14 +446,13 @@ def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: Im
     for topic in sorted(topics_of(reader, topics) & reader.left_out.keys()):
         count, why = reader.left_out[topic]
         report.lost[topic] = report.lost.get(topic, 0) + count
-        report.warnings.append(
+        _warn(
+            report,
             f"{reader.path}: {count} messages of topic {topic} are not stored: {why}; choose "
-            "others with --topics to leave them out on purpose"
+            "others with --topics to leave them out on purpose",
         )
-        _log.warning("%s", report.warnings[-1])
     for what, count in reader.extras.items() if topics is None else ():
-        report.warnings.append(f"{reader.path}: its {count} {what} are not stored")
-        _log.warning("%s", report.warnings[-1])
+        _warn(report, f"{reader.path}: its {count} {what} are not stored")
 
 
 def _tell_robots(reader: MessageFile, numbers: AbstractSet[int], report: ImportReport) -> None:
@@ -452,11 +463,11 @@ def _tell_robots(reader: MessageFile, numbers: AbstractSet[int], report: ImportR
             sorted(robot or "one without name" for robot in robots if robot is not None)
         )
         whose = f"robot {report.nodeID!r}" if report.nodeID else "one robot without name"
-        report.warnings.append(
+        _warn(
+            report,
             f"{reader.path} was exported of several robots ({names}); all of its messages are "
-            f"stored as those of {whose}: 'cassandra_bag copy' keeps robots, runs and events"
+            f"stored as those of {whose}: 'cassandra_bag copy' keeps robots, runs and events",
         )
-        _log.warning("%s", report.warnings[-1])
 
 
 def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int, Run | None]:
