@@ -39,7 +39,10 @@ from cassandra_ros.files.bag.importer import import_bag
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.places import track_windows
 from cassandra_ros.places.regions import DiskRegion
+from cassandra_ros.places.rigid import Rigid
+from cassandra_ros.places.robots import fixed_text, is_fixed_to
 from cassandra_ros.places.track_windows import TRACK_WINDOW_NS
+from cassandra_ros.query.protocols import Disk
 from cassandra_ros.recording import place_keeper
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.store.tables.registry import LossKind
@@ -334,6 +337,25 @@ def test_who_asks_for_a_time_finds_a_robot_that_came_before_it(rosCas):
     rosCas.upkeep.indexPlaces()
     assert noted_of(rosCas) == [(T0, T0 + 620 * SEC)]
     check()
+
+
+def test_the_text_of_a_fixed_frame_stays_as_it_is_stored():
+    """The index of places has such texts in stores of earlier releases."""
+    pose = Rigid(np.array([[1.0, -2.5, 0.0]]), np.array([[0.0, 0.0, 0.0, 1.0]]))
+    text = fixed_text("map", pose)
+    assert text == "map [[1.0, -2.5, 0.0]] [[0.0, 0.0, 0.0, 1.0]]"
+    assert is_fixed_to(text, "map")
+    assert not is_fixed_to(text, "ma") and not is_fixed_to(text, "map ")
+
+
+def test_an_answer_is_shared_inside_another(husky):
+    places, disk = husky.catalog.places, Disk(0.0, 0.0, 5.0, "odom_combined")
+    with places.shared():
+        outer = places.stays(disk)
+        with places.shared():
+            assert places.stays(disk) is outer
+        assert places.stays(disk) is outer
+    assert places.stays(disk) is not outer
 
 
 def test_frames_that_are_fixed_in_another_way_since(rosCas):

@@ -32,6 +32,7 @@ from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecord
 from cassandra_ros.places.pose_samples import NO_FRAME, Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_fixes, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, PoseSource
+from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.query.protocols import WGS84
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import Writers
@@ -113,12 +114,26 @@ class Robot:
 
 
 def fixed_frames(frames: TfRecording) -> dict[str, str]:
-    """Return parent and pose of each fixed frame, as a text, by frame."""
+    """Return parent and pose of each fixed frame, as ``fixed_text`` writes them, by frame."""
     return {
-        frames.names[child]: f"{frames.names[parent]} {pose.moved.tolist()} {pose.turned.tolist()}"
+        frames.names[child]: fixed_text(frames.names[parent], pose)
         for child, (parent, pose) in frames.fixed.items()
         if parent != NO_FRAME
     }
+
+
+def fixed_text(parent: str, pose: Rigid) -> str:
+    """Return the parent of a fixed frame and its pose there as a text.
+
+    The index of places stores it (``IndexedPoses.above``), and a record is valid only while the
+    text is still the same: another text for the same pose would make every stored record invalid.
+    """
+    return f"{parent} {pose.moved.tolist()} {pose.turned.tolist()}"
+
+
+def is_fixed_to(text: str, parent: str) -> bool:
+    """Return whether a text of ``fixed_text`` has this parent."""
+    return text.startswith(f"{parent} [")
 
 
 def frames_above(frames: TfRecording, samples: Samples, name: str) -> list[str]:

@@ -20,7 +20,7 @@ from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, GroundCell, c
 from cassandra_ros.places.paths import LONGEST_GAP_NS, clip_ranges, merge_ranges, subtract_ranges
 from cassandra_ros.places.pose_topic import tells_fixes
 from cassandra_ros.places.regions import DiskRegion, Region
-from cassandra_ros.places.robots import MAX_FRAMES, Robot, RobotFinder
+from cassandra_ros.places.robots import MAX_FRAMES, Robot, RobotFinder, is_fixed_to
 from cassandra_ros.places.track_windows import (
     TRACK_WINDOW_NS,
     PathWindow,
@@ -157,10 +157,17 @@ class Whereabouts:
         self._stored = stored
         self._coverage = Coverage(stored, index)
         self._local = threading.local()
+        """Its ``answers`` are those of ``stays``; a thread has them only inside ``shared``."""
 
     @contextmanager
     def shared(self) -> Iterator[None]:
-        """Cache the answers of ``stays`` for this thread, so that poses are read once."""
+        """Cache the answers of ``stays`` for this thread, so that poses are read once.
+
+        Inside another ``shared`` of the thread it uses the cache of that one.
+        """
+        if hasattr(self._local, "answers"):
+            yield
+            return
         self._local.answers = {}
         try:
             yield
@@ -283,17 +290,18 @@ def is_valid(record: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> bo
     frame did not exist; and if the frames above the robot are fixed as when it was made.
 
     Args:
-        fixed: Parent and pose of each fixed frame, as it is now.
+        fixed: Parent and pose of each fixed frame now, see ``fixed_text``. The record has these
+            texts as they were stored, so they are compared as texts.
     """
     if not robot.name:
         return robot.frame in record.above
-    if any(fixed.get(frame, "") != how for frame, how in record.above.items()):
+    if any(fixed.get(frame, "") != text for frame, text in record.above.items()):
         return False
     # A frame that did not exist has no visits, unless it was fixed to another frame since.
     absent = robot.frame not in record.frames and robot.frame not in fixed
     absent = absent and len(record.frames) < MAX_FRAMES
     return robot.frame in record.above or (
-        absent and not any(how.startswith(f"{robot.frame} [") for how in fixed.values())
+        absent and not any(is_fixed_to(text, robot.frame) for text in fixed.values())
     )
 
 

@@ -135,7 +135,7 @@ class _IndexComparison:
         fixed = self._fixed(run.node)
         # A record of a topic of poses has the table in place of the robot's frame.
         chains = [record.above for record in records if record.robot != record.table]
-        if any(fixed.get(name, "") != how for above in chains for name, how in above.items()):
+        if any(fixed.get(name, "") != text for above in chains for name, text in above.items()):
             return places._replace(state="not indexed")
         first = min(record.low for record in records)
         last = max(record.high for record in records)
