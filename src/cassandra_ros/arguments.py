@@ -167,7 +167,10 @@ def check_run_name(name: Any) -> str:
 
 
 def check_labels(labels: Any) -> dict[str, str]:
-    """Return the labels of a new run (name -> text), or raise InvalidName."""
+    """Return the labels of a run or an event (name -> text), or raise InvalidName.
+
+    A text may be empty, a name may not.
+    """
     if not isinstance(labels, Mapping):
         raise InvalidName(
             f"labels={_shorten(labels)} are not a mapping: give one like {{'site': 'lab'}}"
@@ -176,6 +179,8 @@ def check_labels(labels: Any) -> dict[str, str]:
     checked: dict[str, str] = {}
     for given_name, text in labels.items():
         name = check_text("label", given_name, MAX_NAME_BYTES, InvalidName, wanted)
+        if not name:
+            raise InvalidName(f"a label without a name cannot be used: give {wanted}")
         checked[name] = check_text(f"label {name}", text, MAX_NAME_BYTES, InvalidName, wanted)
     return checked
 

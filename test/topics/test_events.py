@@ -125,6 +125,8 @@ def test_what_no_event_can_be_is_refused(rosCas):
         rosCas.addEvent("bump", T0, nodeID=5)
     with pytest.raises(InvalidName):
         rosCas.addEvent("bump", T0, labels={"a": 1})
+    with pytest.raises(InvalidName, match="a label without a name cannot be used: give labels"):
+        rosCas.addEvent("bump", T0, labels={"": "a"})
     for values in ({"a": float("nan")}, {"a": {1}}, {"": 1}, [1], {"a": "x" * 70_000}):
         with pytest.raises(InvalidName):
             rosCas.addEvent("bump", T0, values=values)

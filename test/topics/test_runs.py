@@ -118,12 +118,13 @@ def test_names_and_labels_are_texts(rosCas):
         Run("", 7, "api", labels=["a"]),
         Run("", 7, "api", labels={"a": 1}),
         Run("", 7, "api", labels={1: "a"}),
+        Run("", 7, "api", labels={"": "a"}),
     ):
         with pytest.raises(InvalidName, match="give"):
             rosCas.messageWriter(run=wrong)
     assert rosCas.runs() == []
     for name in ("", "ä ☃\n'\"%_", "7"):
-        run = Run("", 7, "api", name=name, labels={"ü": "☃"})
+        run = Run("", 7, "api", name=name, labels={"ü": "☃", "empty": ""})
         with rosCas.messageWriter(writer_id=7, run=run) as writer:
             handle = writer.connect(connection_of("/p", PointStamped))
             writer.write(handle, T0, 0, serialize(PointStamped()))
@@ -131,7 +132,7 @@ def test_names_and_labels_are_texts(rosCas):
         rows = rosCas.executeCQL("SELECT RUN FROM p WHERE RUN = ?", [name or "7"])
         assert rows == [(name or "7",)]
         (found,) = rosCas.runs()
-        assert (found.name, found.labels) == (name, {"ü": "☃"})
+        assert (found.name, found.labels) == (name, {"ü": "☃", "empty": ""})
 
 
 def test_losses_follow_their_topic(rosCas):

@@ -55,6 +55,7 @@ def change_runs(
 
 def _check_labels(labels: Mapping[str, str | None]) -> None:
     """Raise InvalidName if a label cannot be set, or removed (None)."""
+    # '' stands for a label that is removed: it is a valid text.
     check_labels({key: "" if text is None else text for key, text in dict(labels).items()})
     for key in OWN_LABELS:
         if key in labels:
