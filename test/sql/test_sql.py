@@ -28,7 +28,7 @@ from suites import OLD_DUCKDB
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.client.sql import duck_database
+from cassandra_ros.client.sql import duck_database, sql_result
 from cassandra_ros.client.sql.python_values import printable_value
 from cassandra_ros.client.sql.sql_result import SqlResult
 from cassandra_ros.errors import (
@@ -763,6 +763,18 @@ def test_a_store_that_goes_away_while_names_are_looked_for_is_told_as_such(robot
             proxy.cut()
             with pytest.raises(StoreUnavailable):
                 result.fetchall()
+
+
+def test_a_run_is_closed_even_if_its_hints_fail(robot, monkeypatch):
+    def fail(reasons):
+        raise RuntimeError("no hints")
+
+    result = robot.sql("SELECT count(*) FROM battery")
+    run = result._ready
+    monkeypatch.setattr(sql_result, "warn_of", fail)
+    with pytest.raises(RuntimeError, match="no hints"):
+        result.fetchall()
+    assert run._closed
 
 
 def test_names_that_are_stored_are_not_told(robot):

@@ -63,7 +63,7 @@ _T = TypeVar("_T")
 
 
 class SqlResult:
-    """The rows of an SQL statement. Each method runs the statement anew, as now.
+    """The rows of an SQL statement. Each method runs the statement anew, as now. For one thread.
 
     Iterate over it for its rows, as tuples; ``print`` shows the first ones. Ctrl-C, an exception of
     ``watch``, or the end of an iterator stops what runs.
@@ -190,14 +190,17 @@ class SqlResult:
 
     @contextmanager
     def _open_run(self) -> Iterator[_Run]:
-        """Yield the run that checked the statement, or a new one; close it after the block."""
+        """Yield the run that checked the statement, or a new one; close it after the block.
+
+        Then ``hints`` are those of this run, also after an error, and each is logged as a warning.
+        """
         run, self._ready = self._ready or self._bind_run(), None
         try:
             yield run
         finally:
+            run.close()
             sources = (s for s in run.sources.values() if not isinstance(s, ListSource))
             self.hints = warn_of(hint for source in sources for hint in source.hints)
-            run.close()
 
     def _bind_run(self) -> _Run:
         """Return a new run whose statement was checked."""
