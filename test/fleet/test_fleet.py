@@ -39,6 +39,8 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.playing.play_selection import PlaySelection, chosen_topics
+from cassandra_ros.playing.played_fleet import PlayedFleet
 from cassandra_ros.read import EVERYBODY, Read
 from cassandra_ros.stores.copying.replicator import Replicator
 from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
@@ -206,6 +208,20 @@ def test_messages_and_single_ones(mixed):
     with pytest.raises(InvalidKey):
         fleet.getData("t0", 5, nearest="before")
     assert fleet.topics() == ["/t0", "/t1", "/t2", "/t3"]
+
+
+def test_a_topic_of_two_spellings_is_listed_once(stores):
+    first, second, third = stores
+    fill(first, "scan", range(2))
+    fill(second, "/scan", range(2, 4))
+    fill(third, "tf", range(1))
+    fill(third, "/tf", range(1))
+    with fleet_of(*stores) as fleet:
+        assert fleet.topics() == ["/tf", "scan", "tf"]
+        assert chosen_topics(PlayedFleet(fleet), PlaySelection()) == ["/tf", "scan", "tf"]
+        assert [info.count for info in fleet.info(["/scan"])] == [4]
+    with fleet_of(second, first) as fleet:
+        assert fleet.topics() == ["/scan"]
 
 
 @pytest.mark.suite("test", "pages of a fleet")

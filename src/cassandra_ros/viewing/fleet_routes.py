@@ -14,7 +14,7 @@ from functools import partial
 from itertools import chain
 from typing import Callable, Collection, Dict, Iterable, Iterator, Mapping, Sequence, Union
 
-from cassandra_ros.arguments import check_node
+from cassandra_ros.arguments import check_node, spellings
 from cassandra_ros.errors import (
     DefinitionError,
     MessageNotFound,
@@ -69,7 +69,14 @@ _Work = Callable[[ApiCall, FleetAnswer], _Told]
 
 
 def _of_all(work: _Work, call: ApiCall) -> Answer:
-    """Answer a call over all stores, and say which of them did not answer."""
+    """Answer a call over all stores, and say which of them did not answer.
+
+    A StreamedBody is not complete yet: it says so itself at its end, see ``_stream``.
+
+    Args:
+        work: Makes the answer. It is called again if a store goes away meanwhile, so it must change
+            nothing.
+    """
     fleet = call.fleet
     stores = fleet.begin(ask_routes.watch_of(call))
     try:
@@ -269,10 +276,8 @@ def _complete(call: ApiCall, stores: FleetAnswer) -> _Told:
     _refuse_sql(call)
 
     def definitions(name: str) -> Sequence[Definition]:
-        if name not in {
-            *topic_names(stores),
-            *(topic.lstrip("/") for topic in topic_names(stores)),
-        }:
+        known_names = {text for topic in topic_names(stores) for text in spellings(topic)}
+        if name not in known_names:
             return ()
         tables = find_topic(stores, name).tables
         return [table.definition for table in tables if table.definition is not None]

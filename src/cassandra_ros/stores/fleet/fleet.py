@@ -118,7 +118,14 @@ class Fleet:
             store.hurry()
 
     def topics(self) -> FleetList[str]:
-        """Return the names of all topics, sorted."""
+        """Return the names of all topics, sorted.
+
+        A topic that one store has as scan and another as /scan is listed once, as the first store
+        spells it.
+
+        Raises:
+            StoreUnavailable: No store answers.
+        """
         answer = FleetAnswer(self.stores)
         return FleetList(topic_names(answer), answer)
 
@@ -139,6 +146,7 @@ class Fleet:
 
         Raises:
             TopicNotFound: No store has one of the topics; the text names all stores.
+            StoreUnavailable: No store answers.
         """
         names, answer = check_topics(topics), FleetAnswer(self.stores)
 

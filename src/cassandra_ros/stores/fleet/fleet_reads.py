@@ -10,7 +10,7 @@ from functools import partial
 from itertools import islice
 from typing import Iterator, Mapping, Sequence
 
-from cassandra_ros.arguments import check_nodes
+from cassandra_ros.arguments import check_nodes, spellings
 from cassandra_ros.errors import (
     DefinitionError,
     EventNotFound,
@@ -105,10 +105,18 @@ def times_of_events(answer: FleetAnswer, choice: EventChoice, read: Read) -> Eve
 
 
 def topic_names(answer: FleetAnswer) -> list[str]:
-    """Return the names of the topics of all stores, sorted."""
-    return sorted(
-        set().union(*answer.each(answer.catalogs, lambda c: c.names(fresh=False)).values())
-    )
+    """Return the names of the topics of all stores, sorted.
+
+    A topic that one store has with the leading slash and another without it is listed once, as the
+    first store spells it. If one store has both, these are two topics.
+    """
+    listed: set[str] = set()
+    for names in answer.each(answer.catalogs, lambda c: c.names(fresh=False)).values():
+        for name in names:
+            _, other = spellings(name)
+            if other in names or other not in listed:
+                listed.add(name)
+    return sorted(listed)
 
 
 def topics_of(answer: FleetAnswer, names: Sequence[str] | None) -> list[FleetTopic]:

@@ -74,7 +74,10 @@ class FleetRow:
 
     @property
     def missing(self) -> Missing:
-        """The stores that did not answer so far → why."""
+        """The stores that did not answer so far → why: those of the whole answer.
+
+        All rows of the answer share this mapping, and it grows while they are read.
+        """
         return self._answer.missing
 
     @property
