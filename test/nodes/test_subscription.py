@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import socket
 import struct
 import time
@@ -13,6 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from cassandra_ros.nodes import subscriptions
 from cassandra_ros.nodes.subscription import _has_hung_up, _is_read, _received, read_header
 
 
@@ -82,3 +84,18 @@ def test_messages_that_come_with_the_header_are_not_handed_on_yet(pair):
     assert not _is_read(connection)
     connection.handled = 5
     assert _is_read(connection)
+
+
+def test_a_topic_that_is_read_to_its_end_does_not_prolong_the_wait_for_others(monkeypatch):
+    """By a clock of its own, which each look at it moves by a second."""
+    seconds = itertools.count()
+    drained = {"/a": iter([False, False, False, True]), "/b": itertools.repeat(False)}
+    clock = SimpleNamespace(monotonic=lambda: float(next(seconds)), sleep=lambda sec: None)
+    monkeypatch.setattr(subscriptions, "time", clock)
+    monkeypatch.setattr(subscriptions, "is_drained", lambda topic: next(drained[topic]))
+    monkeypatch.setattr(subscriptions.rospy, "is_shutdown", lambda: False)
+    subscribed = subscriptions.Subscriptions(lambda topic, header, wire: None)
+    subscribed._subscribers = {"/a": "/a", "/b": "/b"}
+    assert subscribed.drain(["/a", "/b"], lambda topic: 7, lambda: False) == ["/b"]
+    # Looks at 0 s before the loop, at 1 s when the counts are new, then until DRAIN_SEC is over.
+    assert next(seconds) - 1 == 1 + subscriptions.DRAIN_SEC + 1

@@ -107,7 +107,10 @@ class Subscriptions:
     def drain(
         self, topics: Collection[str], count: Callable[[str], int], give_up: Callable[[], bool]
     ) -> list[str]:
-        """Wait until all connections of a topic were empty once: earlier messages are handled then.
+        """Wait until all connections of some topics were empty once.
+
+        Messages that were sent before are handled then. It stops when no message of a topic that it
+        waits for has come for DRAIN_SEC, after MAX_DRAIN_SEC in all, and when ROS shuts down.
 
         Args:
             topics: Names of the topics.
@@ -119,14 +122,16 @@ class Subscriptions:
         """
         with self._mutex:
             waiting = {t: subscriber for t, subscriber in self._subscribers.items() if t in topics}
-        seen, ends = -1, 0.0  # number of messages, and when to stop if no more come
+        seen: dict[str, int] = {}
+        ends = 0.0  # when to stop if no more messages come
         last = time.monotonic() + MAX_DRAIN_SEC
         while waiting:
             waiting = {
                 t: subscriber for t, subscriber in waiting.items() if not is_drained(subscriber)
             }
-            arrived, now = sum(map(count, waiting)), time.monotonic()
-            if arrived != seen:
+            arrived, now = {topic: count(topic) for topic in waiting}, time.monotonic()
+            # A topic that is not waited for any more is no news.
+            if arrived.items() - seen.items():
                 seen, ends = arrived, min(now + DRAIN_SEC, last)
             if not waiting or now > ends or give_up() or rospy.is_shutdown():
                 break
