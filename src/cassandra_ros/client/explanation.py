@@ -54,7 +54,8 @@ class Explanation:
     client: tuple[str, ...]
     """Comparisons that only the client checked."""
     rows_read: int
-    """Number of rows received from the server."""
+    """Number of rows that the client checked one by one; in format packed those messages of the
+    unpacked blocks that numpy did not filter out. See ``unpacked`` and ``sifted``."""
     rows_returned: int
     blocks: int = 0
     """Number of blocks of packed messages that were read and unpacked."""

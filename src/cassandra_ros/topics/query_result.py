@@ -267,7 +267,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             or all rows are known with the first.
         select: The statement.
         pushdown: Choice of what the server checks.
-        read: Number of rows received from the server.
+        read: Number of rows checked so far; in format packed those that are left after blocks were
+            sifted.
         time_ranges: Number of time ranges that NEAR and EVENT have selected so far.
         counted: Whether the directory has the answer, so that no row is read.
         hints: Why no message is found, as far as that is known when all rows were taken.

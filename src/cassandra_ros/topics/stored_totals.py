@@ -23,7 +23,7 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 @dataclass(frozen=True, repr=False)
 class TopicInfo:
-    """Numbers of one topic in one table by one node."""
+    """Numbers of one topic in one table by one robot."""
 
     topic: str
     type: str
@@ -31,21 +31,26 @@ class TopicInfo:
     format: str
     node: str
     count: int
+    """Number of messages."""
     bytes: int
     """Number of serialised bytes of the messages."""
     first_ns: int | None
     last_ns: int | None
+    """Key times of the first and the last message, ns; None = there are no messages."""
     odd: int
     """Number of messages with a field that is not held exactly in its column."""
     buckets: int
     """Number of buckets, or of names."""
     bucket_ns: int
+    """Length of a bucket, ns."""
     ttl: int
+    """Time to live of the messages, s; 0 = they stay for ever."""
     table: str
     largest_bucket: int
     """Maximum number of messages in one bucket, or with one name."""
     lost: int
-    """Known number of lost messages of the topic by this node, for all tables together."""
+    """Known number of lost messages of the topic by this robot, for all tables together: each of
+    its tables has the same number, so do not add them up."""
     key: str
     """Key of a message: 'time', 'hash', 'manual', or the name of the key field."""
     rate_hz: float | None

@@ -218,6 +218,17 @@ def _write(
     path: Path,
     progress: MessageProgress,
 ) -> None:
+    """Write the selected messages into a file of the cache.
+
+    The cache calls it on a thread of its own, which may go on after the request has ended.
+
+    Args:
+        path: The file. Its ending, which ``_name`` gave it, decides between a bag and an MCAP.
+        progress: See MessageProgress. Its exception ends the writing, which nothing else does.
+
+    Raises:
+        MessageNotFound: There is no such message; the text says why.
+    """
     try:
         export_bag(
             store,

@@ -45,7 +45,7 @@ class Summary:
             start, end = (ns // SECOND_NS + ns % SECOND_NS / SECOND_NS for ns in self.ends)
             rows.append(("duration:", _duration(end - start)))
             rows += [("start:", _moment(start)), ("end:", _moment(end))]
-        rows.append(("size:", scaled(self.size / 1024, 1024, ("KB", "MB", "GB", "TB", "PB"))))
+        rows.append(("size:", _scaled(self.size / 1024, 1024, ("KB", "MB", "GB", "TB", "PB"))))
         rows.append(("messages:", str(sum(topic.messages for topic in self.topics))))
         rows += _head_lines("types:", self._types())
         rows += _head_lines("topics:", self._topics())
@@ -87,7 +87,7 @@ class Summary:
     def _topics(self) -> list[str]:
         """Return the lines about the topics, in columns."""
         rates = [
-            "" if topic.frequency is None else scaled(topic.frequency, 1000, ("Hz", "kHz", "MHz"))
+            "" if topic.frequency is None else _scaled(topic.frequency, 1000, ("Hz", "kHz", "MHz"))
             for topic in self.topics
         ]
         name = max((len(topic.topic) for topic in self.topics), default=0)
@@ -118,8 +118,11 @@ def _head_lines(head: str, lines: Sequence[str]) -> list[tuple[str, str]]:
     return [(head if n == 0 else "", line) for n, line in enumerate(lines)]
 
 
-def scaled(value: float, step: int, units: Sequence[str]) -> str:
-    """Return a value with the first unit in which it is smaller than ``step``, or the last unit."""
+def _scaled(value: float, step: int, units: Sequence[str]) -> str:
+    """Return a value with the first unit in which it is smaller than ``step``, or the last unit.
+
+    As rosbag does, it is rounded after the unit was chosen: 1023.96 KB is '1024.0 KB'.
+    """
     for unit in units[:-1]:
         if value < step:
             return f"{value:.1f} {unit}"

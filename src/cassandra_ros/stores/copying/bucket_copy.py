@@ -52,8 +52,14 @@ class CopySelection:
     time_range: TimeRange = ALWAYS
     """Time range of the keys."""
     whose: Whose = EVERYBODY
+    """Robots and writers whose messages are copied."""
     deletions: bool = False
     """Whether messages that were deleted here after they were copied are deleted there."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether all messages are selected."""
+        return self.time_range == ALWAYS and self.whose == EVERYBODY
 
 
 @dataclass
@@ -87,6 +93,8 @@ class PieceCopy:
 
     Args:
         target: Id of the target in the books.
+        selection: Its ``whose`` does not matter: the pieces have only buckets of its robots and
+            writers.
         sent: Called with each number of bytes before they are sent; it may wait.
         choose: Reads the messages that a rule takes; None = all are copied.
         rule: Returns what the books call the messages that a rule takes of a bucket; '' = all.

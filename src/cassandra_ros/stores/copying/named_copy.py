@@ -112,8 +112,7 @@ class NamedCopy:
                 count.bytes += converted.bytes
         else:
             self._copy_as_stored(late, count)
-        everything = self._selection == CopySelection(deletions=self._selection.deletions)
-        if everything and not count.damaged:
+        if self._selection.whole and not count.damaged:
             self._note(rows, seen)
         return count
 

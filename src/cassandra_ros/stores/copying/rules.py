@@ -188,8 +188,9 @@ def _read_order(value: object) -> int:
 
 
 def _read_format(value: object) -> str:
+    """Read the name of a storage format; raises UnknownFormat if there is no such format."""
     text = check_text("format", value)
-    format_class(text)
+    format_class(text)  # only for its error
     return text
 
 

@@ -97,8 +97,8 @@ class TargetBuckets:
         Args:
             final: Writer ids of which all rows are there.
             totals: Counts of the rows that were copied by node, bucket there and writer, used only
-                where the bucket had no other rows of the writer. What is missing, as always for
-                blocks, is counted in the target.
+                where the bucket had no other rows of the writer; {} unless all of their rows were
+                sent. What is missing, as always for blocks, is counted in the target.
         """
         places: dict[_Place, list[tuple[_Key, BucketRow]]] = {}
         for key, row in self._opened.items():
@@ -119,7 +119,16 @@ class TargetBuckets:
         entries: Collection[tuple[_Key, BucketRow]],
         totals: Mapping[_Key, BucketTotals],
     ) -> None:
-        """Close the entries of one bucket, which are of different writers."""
+        """Close the entries of one bucket, which are of different writers.
+
+        Args:
+            entries: They were read by ``Directory.find`` before rows are counted here, as
+                ``put_recount`` requires: it does not close one that has changed since. One that is
+                ``cut``, from which rows were deleted since it was counted, stays open.
+            totals: See ``close``. The rows of an entry in ``_new`` are those that this copy sent,
+                and no others; all other entries are counted. It is {} unless this copy sends all
+                rows that the buckets have here.
+        """
         directory, table = self._pair.there.directory, self._pair.target
         counted: Mapping[int, BucketTotals] | None = None
         for key, row in entries:

@@ -41,13 +41,16 @@ class _Budget:
         self.blocks = MAX_PICTURE_BLOCKS
 
     def take_keys(self, count: int) -> bool:
-        """Subtract keys that were read; return whether enough were left."""
+        """Subtract keys that were read; return whether enough were left.
+
+        If not, none are left: no later piece is read by keys.
+        """
         enough = count <= self.keys
         self.keys = max(0, self.keys - count)
         return enough
 
     def take_blocks(self, count: int) -> bool:
-        """Take blocks as take_keys takes keys."""
+        """Take blocks as take_keys takes keys; after a refusal no later piece is read by blocks."""
         enough = count <= self.blocks
         self.blocks = max(0, self.blocks - count)
         return enough

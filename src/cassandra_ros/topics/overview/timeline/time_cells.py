@@ -97,7 +97,10 @@ class TimeRanges(NamedTuple):
         return self.where((self.first <= end) & (self.last >= start))
 
     def shares(self, start: int, end: int) -> Floats:
-        """Return the share of each, 0 to 1, that is in [start, end] if it is spread evenly."""
+        """Return the share of each, 0 to 1, that is in [start, end] if it is spread evenly.
+
+        It is exactly 1.0 for a time range that lies wholly inside: ``Lane.exact`` compares with it.
+        """
         length = (self.last - self.first + 1).astype(np.float64)
         low, high = np.maximum(self.first, start), np.minimum(self.last, end)
         return np.asarray(np.clip((high - low + 1) / length, 0.0, 1.0))
