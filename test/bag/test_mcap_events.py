@@ -36,7 +36,7 @@ JSON = st.recursive(
     st.integers(0, T0),
     st.none() | st.integers(0, T0),
     st.text(max_size=20),
-    st.dictionaries(st.text(max_size=20), st.text(max_size=20), max_size=3),
+    st.dictionaries(st.text(min_size=1, max_size=20), st.text(max_size=20), max_size=3),
     st.dictionaries(
         st.text(min_size=1, max_size=20), JSON.filter(lambda v: v != float("inf")), max_size=3
     ),
