@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
-from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.errors import CassandraRosError, SpoolError
 from cassandra_ros.files.spool.segment_reader import SegmentReader
 from cassandra_ros.files.spool.segment_writer import SegmentWriter, SpooledMessage
 from cassandra_ros.files.spool.spool_folder import RunFolder
@@ -704,7 +704,10 @@ class Backlog:
             self._close_open()
         self._sync()
         if self._folder is not None:
-            self._folder.remove()
+            try:
+                self._folder.remove()
+            except SpoolError as exc:
+                _log.warning("the messages of the spool are stored, but %s", exc)
 
 
 def _totals_of(messages: Iterable[tuple[str, int]]) -> Totals:

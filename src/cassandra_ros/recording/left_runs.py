@@ -10,7 +10,7 @@ from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Callable
 
-from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.errors import CassandraRosError, SpoolError
 from cassandra_ros.files.spool.spool_folder import RunFolder
 from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.recording.spool_drain import Drain, Drained, LeftRun, read_left
@@ -75,8 +75,12 @@ class LeftRuns:
         """Drain a run whose folder this process has locked, or log why it stays."""
         if folder.path in self._told:
             return
-        if folder.is_empty():
-            folder.remove()  # killed before its first message
+        if folder.is_empty():  # killed before its first message
+            try:
+                folder.remove()
+            except SpoolError as exc:
+                _log.warning("an empty run stays in the spool: %s", exc)
+                self._told.add(folder.path)
             return
         left_run = read_left(folder)
         problem = left_run.problem or self._foreign(left_run)

@@ -212,7 +212,11 @@ class Drain:
                 with suppress(StoreUnavailable):
                     writer.close()
         if not self._drained.stays:
-            self._drained.complete = self._left_run.folder.remove()
+            try:
+                self._left_run.folder.remove()
+                self._drained.complete = True
+            except SpoolError as exc:
+                _log.warning("the messages of run %s are stored, but %s", self._drained.run, exc)
         return self._drained
 
     def _begin(self) -> None:

@@ -235,13 +235,14 @@ def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
             ids = "\n".join(listed_run.id for listed_run in listed)
             confirm(f"Delete {counted(messages, 'message')} of the spool?", ids)
         for run_folder in run_folders:
-            name, path = shown(read_left(run_folder).name), run_folder.path
-            if not run_folder.remove():
+            name = shown(read_left(run_folder).name)
+            try:
+                run_folder.remove()
+            except SpoolError as exc:
                 failed = True
-                text = f"run {name} stays in the spool: {path} cannot be deleted; delete it by hand"
-                print(text, file=sys.stderr)
+                print(f"run {name} stays in the spool: {exc}", file=sys.stderr)
                 continue
-            dropped.append(path.name)
+            dropped.append(run_folder.path.name)
             if not (options.quiet or options.json):
                 print(f"run {name} is deleted from the spool")
     if options.json:

@@ -150,13 +150,18 @@ class RunFolder:
         if lock >= 0:
             os.close(lock)
 
-    def remove(self) -> bool:
-        """Delete the folder with all files, release the lock; return whether nothing stays."""
+    def remove(self) -> None:
+        """Delete the folder with all files, and release the lock.
+
+        Raises:
+            SpoolError: Some of it cannot be deleted.
+        """
         shutil.rmtree(self.path, ignore_errors=True)
         # Before the release: after it another process may make a folder of this name.
-        is_gone = not self.path.exists()
+        is_left = self.path.exists()
         self.release()
-        return is_gone
+        if is_left:
+            raise SpoolError(f"{self.path} cannot be deleted; delete it by hand")
 
 
 class SpoolFolder:
