@@ -610,7 +610,7 @@ def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:
 def nan_queries(table: Table, fields: Iterable[str]) -> list[Query]:
     """Return the queries of the blocks in which one of some fields has a NaN: zones leave it out.
 
-    There are none where each message has its own row.
+    The list is empty for a table in which each message has its own row.
     """
     if not table.packed or table.definition is None:
         return []

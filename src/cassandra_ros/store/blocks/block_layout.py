@@ -27,7 +27,6 @@ from cassandra_ros.store.tables.row_table import (
     LAST,
     MAX_SEQ,
     MIN_SEQ,
-    RowTable,
     TableRow,
 )
 from cassandra_ros.store.tables.table_layout import (
@@ -37,17 +36,15 @@ from cassandra_ros.store.tables.table_layout import (
     MessageKey,
     Queries,
     Side,
+    TableLayout,
     ends_of,
 )
 
 
-class BlockLayout:
+class BlockLayout(TableLayout):
     """Blocks are found by their headers and unpacked; their messages are merged."""
 
     filters_headers = True
-
-    def __init__(self, table: RowTable) -> None:
-        self._table = table
 
     @property
     def stored_columns(self) -> tuple[str, ...]:

@@ -46,13 +46,10 @@ def layout_of(table: RowTable) -> TableLayout:
     return BlockLayout(table) if table.packed else RowLayout(table)
 
 
-class RowLayout:
+class RowLayout(TableLayout):
     """Rows are found by their keys, or by the server's filters and indexes."""
 
     filters_headers = False
-
-    def __init__(self, table: RowTable) -> None:
-        self._table = table
 
     @property
     def stored_columns(self) -> tuple[str, ...]:

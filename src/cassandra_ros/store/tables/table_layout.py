@@ -8,7 +8,8 @@ store/blocks/block_layout.py); ``layout_of`` chooses. Readers get each message a
 
 from __future__ import annotations
 
-from typing import Callable, Iterator, NamedTuple, Optional, Protocol, Sequence
+from abc import ABC, abstractmethod
+from typing import Callable, Iterator, NamedTuple, Optional, Sequence
 
 from cassandra.query import PreparedStatement
 
@@ -96,16 +97,21 @@ def ends_of(plan: BucketPlan, read: Read) -> tuple[Order, Order]:
     return low, high
 
 
-class TableLayout(Protocol):
-    """What is asked of the rows of one table, whose times are keys unless it says otherwise."""
+class TableLayout(ABC):
+    """What is asked of the rows of one table. Times are key times, ns."""
 
     filters_headers: bool
     """Whether of a filtered bucket small headers are read first."""
 
+    def __init__(self, table: RowTable) -> None:
+        self._table = table
+
     @property
+    @abstractmethod
     def stored_columns(self) -> tuple[str, ...]:
         """Names of the columns of a row after its partition key, without those of indexes."""
 
+    @abstractmethod
     def inserts(self, shadows: Sequence[str]) -> tuple[PreparedStatement, PreparedStatement]:
         """Return the INSERT that most rows need, with fewer columns, and that of any row.
 
@@ -113,21 +119,25 @@ class TableLayout(Protocol):
             shadows: Columns of indexes, whose values come last.
         """
 
+    @abstractmethod
     def open(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
         """Request the first messages of a bucket; return all of them in the order of the read.
 
         The request is sent before this returns. A chooser of the read is told how many there were.
         """
 
+    @abstractmethod
     def finder(self) -> Finder:
         """Return what finds one message after the other; they may be requested ahead."""
 
+    @abstractmethod
     def ask(self, position: Position, *, any_seq: bool = False) -> Answer:
         """Request one message, also one with a name; any_seq: the first of its time and node.
 
         The answer raises CorruptMessage if what holds the message is damaged.
         """
 
+    @abstractmethod
     def ask_side(self, node: str, t: int, *, reverse: bool) -> Side:
         """Request the first message of a node in the bucket of a time, from this time on.
 
@@ -136,11 +146,14 @@ class TableLayout(Protocol):
                 the same time it is the first.
         """
 
+    @abstractmethod
     def keys(self, node: str, bucket: int, low: int, high: int) -> Iterator[MessageKey]:
         """Read the keys of the messages of a bucket with a time in [low, high], ns, in order."""
 
+    @abstractmethod
     def count(self, node: str, bucket: int, ends: tuple[int, int], writers: Writers = None) -> int:
         """Return the number of messages of writers with a time in ``ends``, ns, both included."""
 
+    @abstractmethod
     def recount(self, node: str, bucket: int) -> dict[int, BucketTotals]:
         """Count the messages that a bucket has now, by writer id."""
