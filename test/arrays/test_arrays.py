@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 import tracemalloc
 from collections import namedtuple
+from functools import partial
 
 import numpy as np
 import pytest
@@ -27,7 +29,9 @@ from cassandra_ros.messages.classes import (
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.metadata import FORMAT_NAMES
+from cassandra_ros.query.arrays import batch as batches
 from cassandra_ros.query.arrays import table_values
+from cassandra_ros.query.arrays.batch import row_batches
 from cassandra_ros.query.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.projection import Projection
@@ -43,6 +47,8 @@ EVERY = "\n".join(
     ]
 )
 
+COUNTER = itertools.count()
+"""Rows of one time are in the order in which they were made."""
 Topic = namedtuple("Topic", "name tables")
 
 
@@ -67,7 +73,7 @@ class Row:
         self.columns, self.odd, self.raw = table.storage.encode_wire(wire)
         if held is not None:
             self.columns = [c for n, c in zip(table.columns, self.columns) if n in held]
-        self.bytes, self.key = wire, t
+        self.bytes, self.key, self.seq = wire, t, next(COUNTER)
         self.seen = 0
 
     @property
@@ -81,7 +87,14 @@ class Row:
 def gather(rows, fields=None, where=None, tables=None):
     tables = tables or list({row.table.name: row.table for row in rows}.values())
     topic = Topic("/topic", tables)
-    return as_arrays(gather_fields(topic, fields, where, lambda columns: rows))
+    return as_arrays(gather_fields(topic, fields, where, partial(row_batches, rows)))
+
+
+def read_in_batches_of(count, monkeypatch):
+    """Few messages are a batch, and are converted together."""
+    monkeypatch.setattr(batches, "ROW_BATCH_MESSAGES", count)
+    monkeypatch.setattr(table_values, "OTHER_MESSAGES", count)
+    monkeypatch.setattr(table_values, "STACKED_MESSAGES", count)
 
 
 def shown(value):
@@ -313,7 +326,7 @@ OTHERS = {
 
 @pytest.mark.parametrize("text", OTHERS)
 def test_several_definitions(text):
-    """Rows of two types in turn: in their order, and in a type that holds both."""
+    """Rows of two types in turn: in the order of their keys, and in a type that holds both."""
     dtype, is_five = OTHERS[text]
     other = Table(parse_definition("pkg/B", text, None), "binary", "other")
     if is_five:
@@ -325,10 +338,11 @@ def test_several_definitions(text):
     big = 2**63 - 1
     rows = [
         *(Row(table, wire_of(big - n), n) for n in range(3)),
-        *(r for n in range(3) for r in (Row(other, wires[n], n), Row(table, wire_of(n), 10 + n))),
+        *(Row(other, wires[n], 10 + 2 * n) for n in range(3)),
+        *(Row(table, wire_of(n), 11 + 2 * n) for n in range(3)),
     ]
     found = gather(rows, ["KEY", "x", "f"])
-    assert found["KEY"].tolist() == [0, 1, 2, 0, 10, 1, 11, 2, 12]
+    assert found["KEY"].tolist() == [0, 1, 2, 10, 11, 12, 13, 14, 15]
     assert found["x"].dtype == dtype
     assert shown(found["x"])[:3] == [big, big - 1, big - 2]
     assert shown(found["x"])[4::2] == [0, 1, 2]
@@ -359,7 +373,7 @@ LENGTHS = ([4] * 6, [0] * 6, [4], [4, 4, 4, 3, 3, 3], [3, 4] * 3, [])
 @pytest.mark.parametrize("batch", [3, 4096])
 def test_arrays_of_one_length_have_two_dimensions(fmt, batch, monkeypatch):
     """However many messages are read together: what counts is all that are returned."""
-    monkeypatch.setattr(table_values, "DECODED_BATCH_ROWS", batch)
+    read_in_batches_of(batch, monkeypatch)
     definition = parse_definition("pkg/Scan", "float32[] ranges\nstring[] names", None)
     make, table = message_class(definition), Table(definition, fmt)
     for lengths in LENGTHS:
@@ -387,15 +401,15 @@ def test_arrays_of_two_definitions_have_two_dimensions_where_their_lengths_agree
         Table(parse_definition("pkg/A", text, None), name=text) for text in ("float32[] x", other)
     ]
 
-    def row(table, values):
+    def row(table, values, t):
         make = message_class(table.definition)
-        return Row(table, serialize(make(x=values)))
+        return Row(table, serialize(make(x=values)), t)
 
-    second = row(tables[1], [4, 5, 6])
-    found = gather([row(tables[0], [1, 2, 3]), second], ["x"])["x"]
+    second = row(tables[1], [4, 5, 6], 2)
+    found = gather([row(tables[0], [1, 2, 3], 1), second], ["x"])["x"]
     assert found.dtype == (np.float64 if "float64" in other else np.float32)
     assert found.tolist() == [[1, 2, 3], [4, 5, 6]]
-    found = gather([row(tables[0], [1, 2]), second], ["x"])["x"]
+    found = gather([row(tables[0], [1, 2], 1), second], ["x"])["x"]
     assert (found.shape, found.dtype) == ((2,), object)
     assert shown(found) == [[1, 2], [4, 5, 6]]
 
@@ -411,7 +425,7 @@ def test_arrays_that_some_messages_lack_lie_in_objects():
 
 def test_a_message_that_cannot_be_read_is_missing(caplog):
     table = Table(INT64)
-    broken = Row(table, wire_of(1))
+    broken = Row(table, wire_of(1), 2)
     broken.columns, broken.bytes = [None] * 3, None
     rows = [Row(table, wire_of(1), 1), broken, Row(table, wire_of(3), 3)]
     found = gather(rows, ["x", "some", "some[0]"])
@@ -438,18 +452,14 @@ def test_only_the_columns_that_are_needed_are_read():
     table = Table(INT64)
     binary = Table(INT64, "binary", "binary")
 
-    def read(columns):
-        asked.append((columns(table), columns(binary)))
+    def read(parts):
+        asked.append([parts(each).columns for each in (table, binary)])
         return []
 
     topic = Topic("/topic", [table, binary])
     for fields in (["f", "x"], ["KEY"], ["some[3]"]):
         gather_fields(topic, fields, None, read)
-    assert [tuple(map(list, pair)) for pair in asked] == [
-        (["x", "f"], ["_data"]),
-        ([], []),
-        (["some"], ["_data"]),
-    ]
+    assert asked == [[["x", "f"], None], [[], []], [["some"], None]]
 
 
 @pytest.mark.parametrize(
@@ -492,7 +502,7 @@ class Many:
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
 def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     """An int or float takes 24 bytes, and 8 more in a list; here it is its own 4 or 8."""
-    monkeypatch.setattr(table_values, "DECODED_BATCH_ROWS", 200)
+    read_in_batches_of(200, monkeypatch)
     count = 60_000
     table = Table(INT64, fmt)
     topic = Topic("/topic", [table])
@@ -501,7 +511,7 @@ def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     gather(list(Many(table, 10)), fields)
     tracemalloc.start()
     try:
-        found = gather_fields(topic, fields, None, lambda columns: Many(table, count))
+        found = gather_fields(topic, fields, None, partial(row_batches, Many(table, count)))
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -510,7 +520,7 @@ def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     margin = count * 32 // 2
     assert kept < count * size + margin
     # Beside the result: one column twice while it is joined, and a batch.
-    batch = table_values.DECODED_BATCH_ROWS * 1500
+    batch = batches.ROW_BATCH_MESSAGES * 1500
     assert peak < count * (size + 8) + batch + margin, (peak / count, batch / count)
 
 
@@ -524,5 +534,5 @@ def test_batches_are_bounded_in_bytes(monkeypatch):
     wire = struct.pack("<I", 2**20) + bytes(2**20)
     found = gather([Row(table, wire[: 4 + 2**20]) for _ in range(20)], ["data"])
     assert len(found["data"]) == 20
-    assert max(sizes) <= table_values.DECODED_BATCH_BYTES + 2**20
+    assert max(sizes) <= batches.ROW_BATCH_BYTES + 2**20
     assert len([size for size in sizes if size]) == 3

@@ -20,7 +20,7 @@ from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS
 from cassandra_ros.query.arrays.arrow_columns import make_columns
 from cassandra_ros.query.arrays.arrow_types import adapt, fields_of, unite_schemas
-from cassandra_ros.query.arrays.stacked_values import MessageBlock, group_by_size, join_blocks
+from cassandra_ros.query.arrays.batch import BlockBatch, group_by_size, join_groups
 
 
 def columns_of(definition, wires, wanted=None):
@@ -144,11 +144,11 @@ def test_blocks_are_joined_in_their_order():
     definition = parse_definition("a/B", "int32 x\nstring s\n", None)
     parts = [[struct.pack("<iI", n, len(t)) + t for n, t in enumerate(texts)] for texts in TEXTS]
     blocks = [
-        MessageBlock(None, "", str, np.zeros(len(part), np.int64), None, group_by_size(part))
+        BlockBatch(None, "", 0, np.zeros(len(part), np.int64), None, list(group_by_size(part)))
         for part in parts
     ]
     count = sum(map(len, parts))
-    made = make_columns(pa, definition, fields_of(definition, None), join_blocks(blocks), count)
+    made = make_columns(pa, definition, fields_of(definition, None), join_groups(blocks), count)
     assert made.arrays[1].to_pylist() == [t.decode() for texts in TEXTS for t in texts]
 
 

@@ -15,6 +15,7 @@ from suites import search
 
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.query.arrays import table_values
+from cassandra_ros.query.arrays.batch import row_batches
 from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.tree.field_names import all_fields
@@ -32,10 +33,12 @@ def gathered(definition, names, wires):
     )
     select = parse_select(f"select KEY, {', '.join(names)} from /t", ())
     values = TableValues(select, table, Findings(select.text))
-    for n, wire in enumerate(wires):
-        row = SimpleNamespace(t=n, key=n, node="", name="", topic="/t", table=table, wire=wire)
-        row.columns, row.size, row.run = (wire,), len(wire), ""
-        values.add(row, n)
+    rows = [
+        SimpleNamespace(t=n, key=n, node="", seq=n, name="", topic="/t", table=table, wire=wire)
+        for n, wire in enumerate(wires)
+    ]
+    for batch in row_batches(rows, lambda _: values.parts):
+        values.add(batch)
     values.flush()
     kinds = dict(pair for group in values.groups for pair in group)
     return bool(values._stacked), {

@@ -15,7 +15,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.query.arrays.table_values import TableValues
-from cassandra_ros.topics.row_finder import Finder
+from cassandra_ros.topics import row_reader
 from cassandra_ros.topics.stored_row import StoredRow
 
 T0 = 1_600_000_000 * SECOND_NS
@@ -65,18 +65,12 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
         {"where": "seq IS NOT NULL", "key": T0 + SECOND_NS // 2, "run": "2"},
     ]
     with monkeypatch.context() as patch:
-        patch.setattr(Finder, "columns", lambda *_: pytest.fail("they are read row by row"))
+        patch.setattr(row_reader, "row_batches", lambda *_: pytest.fail("they are read as rows"))
         blocks = [topic.getArrays(FIELDS, **options) for options in asked]
         tables = [topic.toArrow(["seq"], **options).read_all() for options in asked]
     assert topic.getArrays("seq")["seq"].count() == len(topic.getArrays("KEY")["KEY"]) - 3
-    reads, as_blocks = Finder.reads, []
-
-    def by_row(*arguments):
-        rows, blocks = reads(*arguments)
-        as_blocks.append(blocks is not None)
-        return rows, None
-
-    monkeypatch.setattr(Finder, "reads", by_row)
+    monkeypatch.setattr(row_reader, "in_blocks", lambda tables, read: False)
+    monkeypatch.setattr(row_reader, "read_blocks", lambda *_: pytest.fail("blocks are read"))
     for options, found, table in zip(asked, blocks, tables):
         wanted = topic.getArrays(FIELDS, **options)
         assert len(wanted["KEY"]) > 20 or "IS NULL" in options["where"]
@@ -86,7 +80,6 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
             mask = np.ma.getmaskarray(wanted[name])
             assert np.array_equal(np.ma.getmaskarray(found[name]), mask)
             assert np.array_equal(found[name][~mask], wanted[name][~mask])
-    assert all(as_blocks)
 
 
 @pytest.mark.suite("all", "large messages, to see how much memory they take")
@@ -97,16 +90,16 @@ def test_large_messages_that_were_turned_into_arrays_are_let_go(rosCas, monkeypa
         for n in range(6):
             message = Header(seq=n, frame_id=LARGE)
             writer.write(handle, T0 + n, n, serialize(message))
-    held, add = [], TableValues.add_block
+    held, add = [], TableValues.add
     gc.collect()
     others = {id(o): o for o in gc.get_objects() if type(o) is StoredRow}  # of earlier tests
 
-    def counted(self, block):
-        add(self, block)
+    def counted(self, batch):
+        add(self, batch)
         rows = (o for o in gc.get_objects() if type(o) is StoredRow and id(o) not in others)
         held.append(sum(row.was_read for row in rows))
 
-    monkeypatch.setattr(TableValues, "add_block", counted)
+    monkeypatch.setattr(TableValues, "add", counted)
     assert rosCas.getTopic("/p").getArrays("seq")["seq"].tolist() == [0, 1, 2, 3, 4, 5]
     assert len(held) == 6
     assert max(held) <= 2

@@ -19,7 +19,7 @@ from cassandra_ros.messages.classes import message_class
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.metadata import FORMAT_NAMES
-from cassandra_ros.query.arrays import table_values
+from cassandra_ros.query.arrays import batch, table_values
 
 T = 1_400_000_000_123_456_789
 TEXT = (
@@ -145,8 +145,9 @@ def test_stretches_nodes_and_conditions(rosCas):
 @pytest.mark.parametrize("fmt", ["packed", "ros", "binary"])
 def test_lengths_of_arrays_of_all_that_is_read(rosCas, monkeypatch, fmt):
     """Two dimensions where all that is returned has one length, in however many batches."""
-    monkeypatch.setattr(table_values, "DECODED_BATCH_ROWS", 16)
-    monkeypatch.setattr(table_values, "BATCH_MESSAGES", 16)
+    monkeypatch.setattr(batch, "ROW_BATCH_MESSAGES", 16)
+    monkeypatch.setattr(table_values, "OTHER_MESSAGES", 16)
+    monkeypatch.setattr(table_values, "STACKED_MESSAGES", 16)
     definition = parse_definition("pkg/Scan", "float32[] ranges\nfloat32[] intensities", None)
     scans = [message_class(definition)(ranges=[n] * (4 + n // 40)) for n in range(60)]
     topic = store(rosCas, "/scan", scans[:40], "r1", format=fmt)

@@ -23,7 +23,6 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import FORMAT_NAMES
-from cassandra_ros.query.arrays import arrow_batches
 from cassandra_ros.query.arrays.row_columns import RowColumns
 from cassandra_ros.topics.row_reader import FollowingReader
 
@@ -113,8 +112,8 @@ def test_a_topic_without_a_type_has_no_rows(rosCas):
 
 def test_batches_are_read_when_they_are_taken(rosCas, monkeypatch):
     topic = fill(rosCas, "packed", 5)
-    reads, read = [], FollowingReader.blocks
-    monkeypatch.setattr(FollowingReader, "blocks", lambda *a: reads.append(a) or read(*a))
+    reads, read = [], FollowingReader.batches
+    monkeypatch.setattr(FollowingReader, "batches", lambda *a: reads.append(a) or read(*a))
     reader = topic.toArrow()
     assert not reads
     assert reader.read_next_batch().num_rows == 5
@@ -166,7 +165,6 @@ def test_columns_of_format_ros_give_what_the_messages_give(rosCas, monkeypatch):
             handle = writer.connect(api_connection(f"/{fmt}", definition, "/x"))
             for n in range(60):
                 writer.write(handle, T0 + n * SECOND_NS, n, everything(n))
-    monkeypatch.setattr(arrow_batches, "MOST_UNUSUAL", 1.0)
     made, make = [], RowColumns.make
     monkeypatch.setattr(
         RowColumns, "make", lambda self, rows: made.append(len(rows)) or make(self, rows)

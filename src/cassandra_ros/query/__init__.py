@@ -6,7 +6,8 @@
 - ``plan/`` determines which part of it the store can answer or filter; that part is only ever
   weaker than the condition.
 - ``rows/`` reads field values from messages, checks conditions and makes the rows of the result.
-- ``arrays/``: many messages as numpy arrays, pandas frames and record batches of Arrow.
+- ``arrays/``: batches of messages (``batch``), and what is made of them: numpy arrays, pandas
+  frames and record batches of Arrow.
 
 ``protocols`` says what the caller must offer, which has the stored rows. The caller joins the
 parts: topics/query_result.py for a statement, client/explanation.py for how it was answered.

@@ -28,6 +28,9 @@ class RunNames(Protocol):
     def unknown_robot(self, node: str) -> str:
         """Say that no message is of a robot, with similar names; '' = one is."""
 
+    def text(self, writer: int) -> str:
+        """Return the value of RUN for the messages of a writer id."""
+
 
 WGS84 = "WGS84"
 """Frame of the Earth, in which positions are latitude and longitude, degrees. All other frames are
@@ -205,6 +208,8 @@ class Row(Protocol):
     """Key time, ns since 1970."""
     node: str
     """nodeID of the robot; '' if none was given."""
+    seq: int
+    """Writer id << 32 | counter."""
     name: str
     """Name under which it is kept; '' if it is found by its time."""
     columns: tuple[bytes | None, ...]

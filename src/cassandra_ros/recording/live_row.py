@@ -34,6 +34,10 @@ class _NoRuns:
         """Return '': later robots are not known."""
         return ""
 
+    def text(self, writer: int) -> str:
+        """Return '': the message has no run."""
+        return ""
+
 
 class _NoPlaces:
     """A source of places that refuses: places of robots are known for stored messages only."""
@@ -103,6 +107,7 @@ class LiveRow:
     t: int
     wire: bytes
     size: int
+    seq: int = 0
     name: str = ""
     columns: tuple[bytes | None, ...] = ()
     run: str = ""

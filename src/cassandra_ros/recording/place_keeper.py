@@ -15,6 +15,7 @@ import threading
 from bisect import bisect_left, bisect_right
 from collections import deque
 from concurrent.futures import Future
+from functools import partial
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -31,6 +32,7 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.places.robots import FIX_TYPES, POSE_TYPES
 from cassandra_ros.places.run_index import RobotRun, TfVisits, TopicVisits
 from cassandra_ros.places.transforms.transform_samples import TRANSFORM_KIND
+from cassandra_ros.query.arrays.batch import row_batches
 from cassandra_ros.query.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.read import Read, Writers
@@ -128,8 +130,8 @@ class LiveTopic:
 
         nodeID and run are ignored: all messages are of one robot and run. A stored topic has them.
         """
-        read = Read(range_between(key, to_key))
-        return as_arrays(gather_fields(self, fields, None, lambda columns: self.read(read)))
+        rows = self.read(Read(range_between(key, to_key)))
+        return as_arrays(gather_fields(self, fields, None, partial(row_batches, rows)))
 
     def count(self, read: Read) -> int:
         """Count the messages of a time range."""

@@ -25,7 +25,7 @@ from cassandra_ros.messages.formats.cassandra_topic_ import CassandraTopic_, Enc
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.printable import public_names
-from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_batches
+from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_record_batches
 from cassandra_ros.query.arrays.arrow_types import wanted_columns
 from cassandra_ros.query.arrays.field_arrays import FieldArray, as_arrays, as_frame, gather_fields
 from cassandra_ros.read import Chooser, Columns, Named, Read, Whose
@@ -42,6 +42,7 @@ from cassandra_ros.topics.row_finder import (
     range_between,
     refuse_units,
 )
+from cassandra_ros.topics.row_reader import until_whole
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key, StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import count_buckets, count_rows
@@ -529,7 +530,7 @@ class CassandraTopic:
         names = None if fields is None else check_list("fields", fields, "['linear.x']")
         columns = None if names is None else wanted_columns(str(n).split(".") for n in names)
         schema = ArrowSchema(finder.tables, columns, names)
-        batches = read_batches(self.name, schema, *finder.reads(key, to_key))
+        batches = read_record_batches(self.name, schema, finder.batches(key, to_key))
         return schema.arrow.RecordBatchReader.from_batches(schema.schema, batches)
 
     def gather(
@@ -543,10 +544,9 @@ class CassandraTopic:
     ) -> dict[str, FieldArray]:
         """Return what getArrays returns, with the type and the missing values of each field."""
         finder = self._finder(nodeID, where, run)
-        gather = partial(
-            gather_fields, self, fields, where, *finder.reads(key, to_key), whose=finder.whose
-        )
-        return self._keyspace.tables.naming(gather)
+        read = finder.batches(key, to_key)
+        gather = partial(gather_fields, self, fields, where, read, whose=finder.whose)
+        return until_whole(partial(self._keyspace.tables.naming, gather))
 
     def createIndex(self, field: str, progress: Progress | None = None) -> int:
         """Make an index on a field, so that conditions on it read only the matching rows.

@@ -19,11 +19,11 @@ from typing import (
     Union,
 )
 
-from cassandra_ros.errors import InvalidKey, TopicNotFound
+from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.stamps import is_time, iso_time, other_unit, to_ns
 from cassandra_ros.printable import NOTEBOOK_ROWS, html_table
-from cassandra_ros.query.arrays.stacked_values import MessageBlock, passing
+from cassandra_ros.query.arrays.batch import Batch, CheckOf
 from cassandra_ros.query.plan.bounds import (
     Bounds,
     NsRange,
@@ -34,7 +34,7 @@ from cassandra_ros.query.plan.bounds import (
 )
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.protocols import Row, RowT_co, Source, Table
-from cassandra_ros.query.rows.projection import Projection, Projections, ResultRow
+from cassandra_ros.query.rows.projection import Projections, ResultRow
 from cassandra_ros.query.rows.result_groups import analyse_select, make_groups
 from cassandra_ros.query.tree.parse import parse_condition
 from cassandra_ros.query.tree.syntax import Delete, Select
@@ -47,8 +47,9 @@ Cursor = Union[str, Position, None]
 """Text of ``QueryResult.cursor``, or the position of a message; None or '' = the beginning."""
 _Rows = Generator[ResultRow, None, None]
 _T = TypeVar("_T")
-BlockReader = Callable[[Read], Optional[Iterator[MessageBlock]]]
-"""Function that reads all messages of a read as blocks; None = a table has no blocks."""
+BatchReader = Callable[[Read, Optional[CheckOf]], Iterator[Batch]]
+"""Function that reads the messages of a read that satisfy a condition as batches. The second
+argument returns the check of the condition in a table; None = all messages satisfy it."""
 _MAX_DIGITS = 18
 """Maximum number of digits of a number in a cursor."""
 
@@ -134,25 +135,20 @@ class Condition:
         projections = Projections(self._select, tables)
         return any(projection.extractor is not None for projection in projections)
 
-    def blocks(
-        self, tables: Sequence[Table], read: Read, read_blocks: BlockReader
-    ) -> Iterator[MessageBlock] | None:
-        """Read the messages that satisfy the condition as blocks.
+    def batches(
+        self, tables: Sequence[Table], read: Read, read_batches: BatchReader
+    ) -> Iterator[Batch]:
+        """Yield the messages that satisfy the condition as batches.
 
         Args:
             tables: Tables of the topic.
             read: Which of its messages are read.
-            read_blocks: Reads the messages of the topic.
-
-        Returns:
-            The blocks; None = not all of the tables have blocks.
+            read_batches: Reads the messages of the topic.
         """
-        if not all(table.packed for table in tables):
-            return None
         select, projections, bounds = self._plan(tables, read)
-        check_of = (lambda table: None) if bounds.whole else projections.of
-        blocks = blocks_inside(read_blocks, check_of, bounds)
-        return self._told(blocks, select, tables, bounds.read)
+        check = None if bounds.whole else projections.of
+        parts = (read_batches(part, check) for part in bounds.reads())
+        return self._told(chain.from_iterable(parts), select, tables, bounds.read)
 
     def _plan(self, tables: Sequence[Table], read: Read) -> tuple[Select, Projections, Bounds]:
         """Return the bound condition, its check, and what is read for it."""
@@ -170,34 +166,10 @@ class Condition:
         return _warn_if_empty(results, select, tables, read) if told else results
 
 
-def blocks_inside(
-    read_blocks: BlockReader, check_of: Callable[[Table], Projection | None], bounds: Bounds
-) -> Iterator[MessageBlock]:
-    """Yield the messages inside of bounds that satisfy a condition, as blocks.
-
-    Args:
-        read_blocks: Reads the messages of the topic.
-        check_of: Returns the check of the condition in a table; None = all messages satisfy it.
-        bounds: What is read.
-
-    Raises:
-        TopicNotFound: A table was replaced by one without blocks.
-    """
-    for read in bounds.reads():
-        blocks = read_blocks(read)
-        if blocks is None:
-            raise TopicNotFound("a table was replaced while it was read")
-        for block in blocks:
-            check = check_of(block.table)
-            block = block if check is None else passing(block, check)
-            if len(block.times):
-                yield block
-
-
 def _warn_if_empty(
     rows: Iterator[_T], select: Select, tables: Sequence[Table], read: Read
 ) -> Iterator[_T]:
-    """Yield rows, or blocks; if none comes, warn of unknown names in the condition."""
+    """Yield rows, or batches; if none comes, warn of unknown names in the condition."""
     empty = True
     for row in rows:
         empty = False

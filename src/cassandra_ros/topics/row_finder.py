@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
 from typing import Any, Callable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
-from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound, TopicNotFound
+from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import (
@@ -24,13 +23,20 @@ from cassandra_ros.messages.stamps import (
     other_unit,
     to_ns,
 )
-from cassandra_ros.query.arrays.field_arrays import ColumnChoice, ReadBlocks, ReadRows
-from cassandra_ros.query.arrays.stacked_values import MessageBlock
+from cassandra_ros.query.arrays.batch import (
+    Batch,
+    CheckOf,
+    PartsOf,
+    ReadBatches,
+    only_keys,
+    row_batches,
+)
 from cassandra_ros.query.protocols import Source
 from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.query_result import BlockReader, Condition
+from cassandra_ros.topics.query_result import BatchReader, Condition
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
+from cassandra_ros.topics.row_reader import until_whole
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
@@ -88,25 +94,22 @@ class Finder:
         rows = self.keyspace.rows.read(self.tables, read)
         return rows if self.where is None else filter(self.where.test, rows)
 
-    def columns(self, key: AnyKey, to_key: AnyKey, columns: ColumnChoice) -> Iterator[StoredRow]:
-        """Yield the rows of ``many``; for a time range without a condition only these columns."""
-        read = self.read_of(key, to_key)
-        if self.where is not None or read.only is not None:
-            return self._rows(read)
-        return self._rows(replace(read, columns=columns))
+    def batches(self, key: AnyKey, to_key: AnyKey) -> ReadBatches:
+        """Return how to read the messages of ``many`` as batches, in any order.
 
-    def reads(self, key: AnyKey, to_key: AnyKey) -> tuple[ReadRows, ReadBlocks | None]:
-        """Return how to read the rows of ``many`` for arrays: row by row, and as blocks.
-
-        The second is None for rows with a condition, a name or a value.
+        The read raises TableReplaced if it has to be repeated, see ``until_whole``.
         """
-        read, blocks = self.read_of(key, to_key), None
-        if read.only is None:
-            read_blocks = partial(self.keyspace.rows.blocks, self.tables)
-            blocks = partial(read_blocks, read)
-            if self.where is not None:
-                blocks = partial(self.where.blocks, read, read_blocks)
-        return partial(self.columns, key, to_key), blocks
+        return partial(self._batches, self.read_of(key, to_key))
+
+    def _batches(self, read: Read, parts: PartsOf) -> Iterator[Batch]:
+        """Yield the messages of a read that satisfy the condition, as batches."""
+        if read.only is not None:
+            return row_batches(self._rows(read), parts)
+
+        def read_batches(read: Read, check: CheckOf | None = None) -> Iterator[Batch]:
+            return self.keyspace.rows.batches(self.tables, read, parts, check)
+
+        return read_batches(read) if self.where is None else self.where.batches(read, read_batches)
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
         """Return the number of rows of ``many``.
@@ -118,11 +121,7 @@ class Finder:
             return count_rows(self.keyspace.directory, self.tables, read)
         # Without fields in the condition no message is needed, only its key.
         if self.where is not None and self.where.names_fields:
-            _, read_blocks = self.reads(key, to_key)
-            blocks = None if read_blocks is None else read_blocks()
-            if blocks is not None:
-                with suppress(TopicNotFound):  # a table was replaced meanwhile: its heir is read
-                    return sum(len(block.times) for block in blocks)
+            return until_whole(lambda: sum(map(len, self._batches(read, only_keys))))
         return sum(1 for _ in self._rows(read, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
@@ -398,6 +397,6 @@ class Filter:
         """Yield the rows of a read that satisfy the condition; see Condition.rows."""
         return self._condition.rows(self._topic, read, bare=bare)
 
-    def blocks(self, read: Read, read_blocks: BlockReader) -> Iterator[MessageBlock] | None:
-        """Read the messages of a read that satisfy the condition; see Condition.blocks."""
-        return self._condition.blocks(self._topic.tables, read, read_blocks)
+    def batches(self, read: Read, read_batches: BatchReader) -> Iterator[Batch]:
+        """Yield the messages of a read that satisfy the condition; see Condition.batches."""
+        return self._condition.batches(self._topic.tables, read, read_batches)

@@ -13,8 +13,8 @@ from __future__ import annotations
 import heapq
 import logging
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from itertools import repeat
 from typing import Callable, Iterable, Iterator, Sequence, TypeVar
 
@@ -25,7 +25,15 @@ from cassandra_ros.keys import Position, RowName, is_after, writer_of
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.messages.wire.message_stacks import as_planes, planes_of
-from cassandra_ros.query.arrays.stacked_values import MessageBlock, choose_groups
+from cassandra_ros.query.arrays.batch import (
+    Batch,
+    BlockBatch,
+    CheckOf,
+    PartsOf,
+    choose_groups,
+    row_batches,
+)
+from cassandra_ros.query.protocols import Table
 from cassandra_ros.read import Named, Read, Valued, Whose
 from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
 from cassandra_ros.store.connection.cassandra import Cassandra
@@ -76,14 +84,16 @@ class RowReader:
         named = self._by_name([t for t in tables if t.named], read)
         return heapq.merge(rows, named, key=lambda row: row.position, reverse=read.reverse)
 
-    def blocks(self, tables: Sequence[TopicTable], read: Read) -> Iterator[MessageBlock] | None:
-        """Read the messages of a time range as whole blocks; None if a table is not packed.
+    def blocks(self, tables: Sequence[TopicTable], read: Read) -> Iterator[BlockBatch]:
+        """Yield the messages of a read as they lie in blocks, in any order.
 
         Only time range, nodes, writers and chooser of the read count.
+
+        Args:
+            tables: Tables of format ``packed``.
+            read: What is read.
         """
-        if not all(table.packed for table in tables):
-            return None
-        return messages_of(read_blocks(self._directory, tables, read), tables)
+        return block_batches(read_blocks(self._directory, tables, read), tables)
 
     def _stored_rows(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
@@ -315,15 +325,55 @@ class FollowingReader:
             except TopicNotFound as exc:
                 tables = _present_tables(tables, exc)
 
-    def blocks(self, tables: Tables, read: Read) -> Iterator[MessageBlock] | None:
-        """Read whole blocks, like RowReader.
+    def batches(
+        self, tables: Tables, read: Read, parts: PartsOf, check: CheckOf | None = None
+    ) -> Iterator[Batch]:
+        """Yield the messages of a read that satisfy a condition, as batches.
 
-        The iterator raises TopicNotFound if a table was replaced or dropped meanwhile, after its
-        blocks at the latest: it does not go on in the new table.
+        If all tables are packed, whole blocks are read, in any order. Else the batches of a table
+        are in the order of the read.
+
+        Args:
+            tables: The tables that are read.
+            read: What is read. Its ``columns`` do not count.
+            parts: What of the messages is needed.
+            check: The check of the condition; None = all messages satisfy it.
+
+        Raises:
+            TableReplaced: A packed table was replaced meanwhile. It is raised after the batches of
+                the table at the latest: the read does not go on in the new table.
         """
         tables = current(tables)
-        stream = self._rows.blocks(tables, read)
-        return None if stream is None else _unless_replaced(tables, stream)
+        if not in_blocks(tables, read):
+            yield from self._row_batches(tables, read, parts, check)
+            return
+        try:
+            for batch in self._rows.blocks(tables, read):
+                passing = batch if check is None else batch.passing(check(batch.table))
+                if len(passing):
+                    yield passing
+            if not _was_replaced(tables):
+                return
+        except TopicNotFound as exc:
+            _present_tables(tables, exc)
+        raise TableReplaced("a table was replaced while it was read")
+
+    def _row_batches(
+        self, tables: Tables, read: Read, parts: PartsOf, check: CheckOf | None
+    ) -> Iterator[Batch]:
+        """Yield the rows of a read as batches; the arguments are those of ``batches``."""
+
+        def columns(table: Table) -> Sequence[str] | None:
+            needed = parts(table).columns
+            if check is None:
+                return needed
+            # The check finds its columns in a row that has these alone, or all of them.
+            return check(table).columns if needed is not None and not needed else None
+
+        rows = self.read(tables, replace(read, columns=columns))
+        if check is not None:
+            rows = (row for row in rows if check(row.table).hit(row))
+        return row_batches(rows, parts)
 
     def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times."""
@@ -357,20 +407,29 @@ class FollowingReader:
         return followed(tables, lambda now: self._rows.beside(now, t, whose, ways))
 
 
-def _unless_replaced(tables: Tables, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
-    """Yield blocks; after them raise TopicNotFound if a table was replaced meanwhile."""
-    yield from blocks
-    if _was_replaced(tables):
-        raise TopicNotFound("a table was replaced while it was read")
+class TableReplaced(TopicNotFound):
+    """A table was replaced while its batches were read: they have to be read again."""
+
+
+def until_whole(work: Callable[[], _T]) -> _T:
+    """Call what reads batches; call it again while a table was replaced during the read."""
+    while True:
+        with suppress(TableReplaced):
+            return work()
+
+
+def in_blocks(tables: Tables, read: Read) -> bool:
+    """Return whether the messages of a read are taken from whole blocks."""
+    return read.only is None and all(table.packed for table in tables)
 
 
 _log = logging.getLogger(__name__)
 
 
-def messages_of(
+def block_batches(
     blocks: Iterable[tuple[BucketRead, OpenedBlock]], tables: Sequence[TopicTable]
-) -> Iterator[MessageBlock]:
-    """Yield the messages to read of blocks; large messages, each a block of one, come last."""
+) -> Iterator[BlockBatch]:
+    """Yield the messages to read of blocks; large messages, each a batch of one, come last."""
     by_name = {table.name: table for table in tables}
     large: deque[StoredRow] = deque()
     for bucket, opened in blocks:
@@ -378,21 +437,21 @@ def messages_of(
         if block is None or block.unpacked is None:
             large += [StoredRow(table_row, table) for table_row in bucket.rows(opened)]
             continue
-        places, run = opened.places, partial(table.runs.text, row.writer)
+        places = opened.places
         times, seqs = block.times[places], block.seqs[places]
         mask = np.zeros(len(block), bool)
         mask[places] = True
         all_groups = [(g.members, planes_of(g.stored, g.rises)) for g in block.unpacked.groups]
         groups = choose_groups(all_groups, mask)
         unsure = None if opened.unsure is None else opened.unsure[places]
-        yield MessageBlock(table, bucket.node, run, times, seqs, groups, unsure)
+        yield BlockBatch(table, bucket.node, row.writer, times, seqs, groups, unsure)
     # Rows are dropped one by one, because each keeps the bytes that were read of it.
     rows = (large.popleft() for _ in range(len(large)))
     yield from filter(None, map(_alone, chunks_ahead(rows)))
 
 
-def _alone(row: StoredRow) -> MessageBlock | None:
-    """Return a block of one message; None if the message was deleted meanwhile."""
+def _alone(row: StoredRow) -> BlockBatch | None:
+    """Return a batch of one message; None if the message was deleted meanwhile."""
     groups = []
     try:
         groups.append((np.zeros(1, np.int64), as_planes([row.wire])))
@@ -400,6 +459,5 @@ def _alone(row: StoredRow) -> MessageBlock | None:
         return None
     except CorruptMessage as exc:
         _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-    place = np.array([row.t], np.int64), np.array([row.seq], np.int64)
-    run = partial(row.table.runs.text, writer_of(row.seq))
-    return MessageBlock(row.table, row.node, run, *place, groups)
+    times, seqs = np.array([row.t], np.int64), np.array([row.seq], np.int64)
+    return BlockBatch(row.table, row.node, writer_of(row.seq), times, seqs, groups)

@@ -9,6 +9,7 @@ itself. It pushes nothing into it, so that all conditions are checked by DuckDB.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, Sequence
 
 import numpy as np
@@ -18,7 +19,7 @@ from cassandra_ros.client.sql.pushed_conditions import UNBOUNDED_READ, PushedRea
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
 from cassandra_ros.messages.wire.zones import zone_map
-from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_batches
+from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_record_batches
 from cassandra_ros.query.arrays.arrow_types import Wanted
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, nan_queries, unwatched
 from cassandra_ros.query.protocols import Table, UnpackedMessages
@@ -164,14 +165,9 @@ class TopicSource:
                 yield self.schema.arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
 
     def _read(self, read: Read, chooser: ConditionChooser | None) -> Iterator[pyarrow.RecordBatch]:
-        rows = self._keyspace.rows
-        return read_batches(
-            self.topic.name,
-            self.schema,
-            lambda columns: rows.read(self.tables, replace(read, columns=columns, chooser=chooser)),
-            lambda: rows.blocks(self.tables, replace(read, chooser=chooser)),
-            self._watch,
-        )
+        chosen = replace(read, chooser=chooser)
+        batches = partial(self._keyspace.rows.batches, self.tables, chosen)
+        return read_record_batches(self.topic.name, self.schema, batches, self._watch)
 
 
 class ListSource:

@@ -2,22 +2,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The messages of a topic as record batches of Arrow, read lazily.
 
-Messages of blocks become columns without an object each; those of other formats are read as rows
-first.
+Whole messages become columns together. Of format ``ros`` a few columns are read without the
+messages.
 """
 
 from __future__ import annotations
 
 import logging
-from functools import partial
-from itertools import groupby
-from typing import TYPE_CHECKING, Any, Callable, Iterator, NamedTuple, Sequence
+from itertools import chain
+from typing import TYPE_CHECKING, Callable, Iterator, Sequence
 
 import numpy as np
 
-from cassandra_ros.errors import CorruptMessage, MessageNotFound, StoreUnavailable, TopicNotFound
-from cassandra_ros.keys import writer_of
-from cassandra_ros.query.arrays.array_types import AnyArray
+from cassandra_ros.errors import StoreUnavailable, TopicNotFound
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.arrays.arrow_columns import make_columns
 from cassandra_ros.query.arrays.arrow_types import (
     OWN_COLUMNS,
@@ -31,15 +29,9 @@ from cassandra_ros.query.arrays.arrow_types import (
     load_arrow,
     unite_schemas,
 )
-from cassandra_ros.query.arrays.field_arrays import ReadBlocks, ReadRows
+from cassandra_ros.query.arrays.batch import Batch, ReadBatches, RowParts, join_groups
 from cassandra_ros.query.arrays.row_columns import RowColumns
-from cassandra_ros.query.arrays.stacked_values import (
-    MessageBlock,
-    SizeGroups,
-    group_by_size,
-    join_blocks,
-)
-from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.protocols import Table
 
 if TYPE_CHECKING:
     import pyarrow
@@ -54,9 +46,6 @@ FEW_FIELDS = 8
 """Maximum number of fields that are read from each block by itself, if most are not read."""
 APART_MESSAGES = 128
 """Minimum number of messages of one size in such a block: those of smaller groups are joined."""
-MOST_UNUSUAL = 0.1
-"""Largest share of rows whose columns do not hold all fields; with more of them the messages of all
-rows are read, in one batch."""
 UNITS = {"time": "ns since 1970, UTC", "duration": "ns"}
 """Units in the metadata of columns, by kind."""
 
@@ -75,7 +64,6 @@ class ArrowSchema:
         named: Whether KEY is a name.
         fields: Fields with a column, by name of the table.
         own: Names of the columns that are not fields.
-        empty: Whether messages need not be read, because no field has a column.
     """
 
     def __init__(
@@ -99,7 +87,6 @@ class ArrowSchema:
         schemas = [self._of(fields) for fields in self.fields.values()]
         fields = list(unite_schemas(self.arrow, schemas)) if schemas else []
         self.own = [field.name for field in own_fields]
-        self.empty = not any(self.fields.values())
         self.schema = self.arrow.schema([*own_fields, *fields])
         self._row_columns: dict[str, RowColumns | None] = {}
         self._reads_few: dict[str, bool] = {}
@@ -119,6 +106,13 @@ class ArrowSchema:
             self._row_columns[table.name] = columns
         return self._row_columns[table.name]
 
+    def parts(self, table: Table) -> RowParts:
+        """Return what is read of a table's rows."""
+        if not self.of_table(table):
+            return RowParts(table, ())
+        reader = self.row_columns(table)
+        return RowParts(table, None if reader is None else reader.names)
+
     def reads_few(self, table: Table) -> bool:
         """Return whether few of the fields of a table's messages are read."""
         if table.name not in self._reads_few:
@@ -134,87 +128,40 @@ class ArrowSchema:
         return self.fields[table.name]
 
 
-class _MessageKeys(NamedTuple):
-    """Keys, robots and runs of the messages of a batch."""
-
-    keys: AnyArray
-    """Times, ns, or names."""
-    owners: Sequence[tuple[str, str, int]]
-    """For each group of consecutive messages of one writer: nodeID, value of RUN, and number."""
-
-
 class _BatchMaker:
-    """Makes batches of the messages of one table after the other."""
+    """Makes record batches of the messages of one table after the other."""
 
     def __init__(self, schema: ArrowSchema) -> None:
         self._schema = schema
         self._arrow = schema.arrow
 
-    def of_blocks(self, blocks: Sequence[MessageBlock]) -> pyarrow.RecordBatch:
-        """Make a batch of some blocks of one table."""
-        keys = np.concatenate([block.times for block in blocks])
-        owners = [(block.node, block.run(), len(block.times)) for block in blocks]
-        table = blocks[0].table
-        apart = APART_MESSAGES if self._schema.reads_few(table) else None
-        return self._make(table, _MessageKeys(keys, owners), join_blocks(blocks, apart))
-
-    def of_rows(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
-        """Yield batches of some rows of one table, without those that were deleted meanwhile."""
-        reader = self._schema.row_columns(rows[0].table)
-        raws = [] if reader is None else [reader.columns_of(row) for row in rows]
-        if reader is None or raws.count(None) > MOST_UNUSUAL * len(rows):
-            yield from self._of_messages(rows)
-            return
-        for usual, members in groupby(zip(rows, raws), lambda pair: pair[1] is not None):
-            parts, columns = zip(*members)
-            if usual:
-                arrays = reader.make(columns)
-                yield self._with_own_columns(parts[0].table, self._keys_of(parts), arrays)
-            else:
-                yield from self._of_messages(parts)
-
-    def _of_messages(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
-        """Yield a batch of rows whose messages are read, or none if all were deleted meanwhile."""
-        wires: list[bytes | None] = []
-        batch: list[Row] = []
-        for row in rows:
-            try:
-                wires.append(None if self._schema.empty else row.wire)
-            except MessageNotFound:
-                continue
-            except CorruptMessage:
-                wires.append(None)
-            batch.append(row)
-        if batch:
-            yield self._make(batch[0].table, self._keys_of(batch), group_by_size(wires))
-
-    def _keys_of(self, rows: Sequence[Any]) -> _MessageKeys:
-        owned = groupby(rows, key=lambda row: (row.node, writer_of(row.seq)))
-        groups = [(node, list(members)) for (node, _), members in owned]
-        owners = [(node, members[0].run, len(members)) for node, members in groups]
-        if self._schema.named:
-            return _MessageKeys(np.array([str(row.key) for row in rows], object), owners)
-        return _MessageKeys(np.fromiter((row.t for row in rows), np.int64, len(rows)), owners)
-
-    def _make(self, table: Table, keys: _MessageKeys, groups: SizeGroups) -> pyarrow.RecordBatch:
-        """Make a batch of serialised messages; a message in no group has no values."""
-        fields, count = self._schema.of_table(table), len(keys.keys)
+    def make(self, batches: Sequence[Batch]) -> pyarrow.RecordBatch:
+        """Make a record batch of some messages of one table."""
+        table = batches[0].table
+        fields, reader = self._schema.of_table(table), self._schema.row_columns(table)
         if not fields or table.definition is None:
-            return self._with_own_columns(table, keys, ())
+            return self._with_own_columns(batches, ())
+        if reader is not None:
+            parts = self._schema.parts(table)
+            cells = [cells for batch in batches for cells in batch.cells(parts)]
+            return self._with_own_columns(batches, reader.make(cells))
+        apart = APART_MESSAGES if self._schema.reads_few(table) else None
+        groups, count = join_groups(batches, apart), sum(map(len, batches))
         arrays, unread = make_columns(self._arrow, table.definition, fields, groups, count)
-        for n in unread.tolist():
-            key, kind = keys.keys[n], table.msg_type
-            _log.warning("a message of type %s at %s cannot be read", kind, key)
-        return self._with_own_columns(table, keys, arrays)
+        if len(unread):
+            keys, kind = np.concatenate([batch.times for batch in batches]), table.msg_type
+            for key in keys[unread].tolist():
+                _log.warning("a message of type %s at %s cannot be read", kind, key)
+        return self._with_own_columns(batches, arrays)
 
     def _with_own_columns(
-        self, table: Table, keys: _MessageKeys, field_arrays: Sequence[pyarrow.Array]
+        self, batches: Sequence[Batch], field_arrays: Sequence[pyarrow.Array]
     ) -> pyarrow.RecordBatch:
-        """Return a batch of the arrays of fields, with the columns that are not fields."""
-        arrow, schema, count = self._arrow, self._schema.schema, len(keys.keys)
-        fields = self._schema.of_table(table)
+        """Return a record batch of the arrays of fields, with the columns that are not fields."""
+        arrow, schema, count = self._arrow, self._schema.schema, sum(map(len, batches))
+        fields = self._schema.of_table(batches[0].table)
         columns = {field.name.lower(): array for field, array in zip(fields, field_arrays)}
-        heads = {name: self._own(name, keys) for name in self._schema.own}
+        heads = {name: self._own(name, batches) for name in self._schema.own}
         arrays = []
         for n, field in enumerate(schema):
             array = heads.get(field.name) if n < len(heads) else columns.get(field.name.lower())
@@ -223,89 +170,59 @@ class _BatchMaker:
             arrays.append(adapt(arrow, array, field.type))
         return arrow.RecordBatch.from_arrays(arrays, schema=schema)
 
-    def _own(self, name: str, keys: _MessageKeys) -> pyarrow.Array:
+    def _own(self, name: str, batches: Sequence[Batch]) -> pyarrow.Array:
         """Return the column KEY, NODE or RUN."""
         arrow = self._arrow
+        if name == "KEY" and self._schema.named:
+            return arrow.array(chain.from_iterable(map(_key_texts, batches)), arrow.string())
         if name == "KEY":
-            kind = arrow.string() if self._schema.named else arrow.timestamp("ns")
-            return arrow.array(keys.keys, kind)
-        is_node = name == "NODE"
-        parts = [arrow.repeat(node if is_node else run, n) for node, run, n in keys.owners]
+            times = np.concatenate([batch.times for batch in batches])
+            return arrow.array(times, arrow.timestamp("ns"))
+        owners = [owner for batch in batches for owner in batch.owners]
+        runs = batches[0].table.runs
+        texts = [owner.node if name == "NODE" else runs.text(owner.writer) for owner in owners]
+        parts = [arrow.repeat(text, owner.messages) for text, owner in zip(texts, owners)]
         return arrow.concat_arrays(parts)
 
 
-def read_batches(
+def _key_texts(batch: Batch) -> Sequence[str]:
+    """Return the keys of messages as texts: names, or times in a table without names."""
+    return batch.names or [str(Stamp.from_ns(t)) for t in batch.times.tolist()]
+
+
+def read_record_batches(
     topic: str,
     schema: ArrowSchema,
-    rows: ReadRows,
-    blocks: ReadBlocks | None,
+    read: ReadBatches,
     watch: Callable[[], None] = lambda: None,
 ) -> Iterator[pyarrow.RecordBatch]:
-    """Yield the messages of a topic as batches, each of one table.
+    """Yield the messages of a topic as record batches, each of one table.
 
     Args:
         topic: Name of the topic, for the error text.
         schema: The columns.
-        rows: Reads the messages as rows.
-        blocks: Reads the messages as blocks, if it can; None = as rows.
-        watch: Called for each block or row; an exception from it ends the read.
+        read: Reads the messages.
+        watch: Called for each batch of messages; an exception from it ends the read.
 
     Raises:
         StoreUnavailable: The topic was converted or removed during the read.
     """
     maker = _BatchMaker(schema)
-    block_stream = None if blocks is None or schema.named else blocks()
-    if block_stream is None:
-        yield from _of_rows(maker, rows(partial(_columns, schema)), watch)
-        return
+    waiting: list[Batch] = []
+    count = size = 0
     try:
-        yield from _of_blocks(maker, block_stream, watch)
+        for batch in read(schema.parts):
+            watch()
+            another = waiting and batch.table.name != waiting[0].table.name
+            if another or count >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
+                yield maker.make(waiting)
+                waiting, count, size = [], 0, 0
+            waiting.append(batch)
+            count += len(batch)
+            size += batch.size
     except TopicNotFound as exc:
         raise StoreUnavailable(
             f"topic {topic} was converted or removed while it was read: ask again"
         ) from exc
-
-
-def _columns(schema: ArrowSchema, table: Table) -> Sequence[str] | None:
-    """Return the columns of rows that must be read, see ColumnChoice."""
-    if schema.empty:
-        return ()
-    reader = schema.row_columns(table)
-    return None if reader is None else reader.names
-
-
-def _of_blocks(
-    maker: _BatchMaker, blocks: Iterator[MessageBlock], watch: Callable[[], None]
-) -> Iterator[pyarrow.RecordBatch]:
-    batch: list[MessageBlock] = []
-    count = size = 0
-    for block in blocks:
-        watch()
-        if batch and block.table.name != batch[0].table.name:
-            yield maker.of_blocks(batch)
-            batch, count, size = [], 0, 0
-        batch.append(block)
-        count += len(block.times)
-        size += sum(planes.size for _, planes in block.groups)
-        if count >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
-            yield maker.of_blocks(batch)
-            batch, count, size = [], 0, 0
-    if batch:
-        yield maker.of_blocks(batch)
-
-
-def _of_rows(
-    maker: _BatchMaker, rows: Iterator[Row], watch: Callable[[], None]
-) -> Iterator[pyarrow.RecordBatch]:
-    batch: list[Row] = []
-    size = 0
-    for row in rows:
-        watch()
-        another = batch and row.table.name != batch[0].table.name
-        if another or len(batch) >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
-            yield from maker.of_rows(batch)
-            batch, size = [], 0
-        batch.append(row)
-        size += row.size
-    if batch:
-        yield from maker.of_rows(batch)
+    if waiting:
+        yield maker.make(waiting)

@@ -29,7 +29,7 @@ from cassandra_ros.messages.wire.message_stacks import (
 )
 from cassandra_ros.query.arrays.array_types import AnyArray
 from cassandra_ros.query.arrays.arrow_types import ArrowField
-from cassandra_ros.query.arrays.stacked_values import SizeGroups
+from cassandra_ros.query.arrays.batch import SizeGroups
 
 if TYPE_CHECKING:
     import pyarrow
@@ -186,8 +186,8 @@ class _ArrayMaker:
         offsets = _offsets(stacks, counts, size)
         runs = [_text_bytes(stack_slots.stack, field.path) for stack_slots in stacks]
         data = _fill_slots(int(offsets[-1]), np.dtype(np.uint8), stacks, counts, offsets, runs)
-        if not _is_utf8(data, offsets):
-            data, offsets = _escape(data, offsets)
+        if not is_utf8(data, offsets):
+            data, offsets = escape(data, offsets)
         buffers = [validity, self._offset_buffer(offsets), self._arrow.py_buffer(data)]
         return self._arrow.Array.from_buffers(self._arrow.string(), size, buffers)
 
@@ -309,7 +309,7 @@ def _text_bytes(stack: Stack, path: str) -> AnyArray:
     return np.ascontiguousarray(data.T)
 
 
-def _is_utf8(data: AnyArray, offsets: Int64Array) -> bool:
+def is_utf8(data: AnyArray, offsets: Int64Array) -> bool:
     """Return whether each of some texts, which lie one after the other, is UTF-8."""
     if not len(data) or data.max() < 0x80:
         return True
@@ -322,7 +322,7 @@ def _is_utf8(data: AnyArray, offsets: Int64Array) -> bool:
     return not ((data[begins[begins < len(data)]] & 0xC0) == 0x80).any()
 
 
-def _escape(data: AnyArray, offsets: Int64Array) -> tuple[AnyArray, Int64Array]:
+def escape(data: AnyArray, offsets: Int64Array) -> tuple[AnyArray, Int64Array]:
     r"""Return texts with the bytes that are not UTF-8 escaped, as \xff."""
     raw = data.tobytes()
     texts = [

@@ -9,16 +9,16 @@ made, because nothing else needs them.
 from __future__ import annotations
 
 import re
-from typing import Any, Callable, Iterator, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, NamedTuple, Sequence, Tuple, Union
 
 import numpy as np
 
 from cassandra_ros.arguments import check_list
-from cassandra_ros.errors import InvalidQuery, TopicNotFound
+from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.installation import optional_module
 from cassandra_ros.query.arrays.array_types import MIXED, AnyArray, ArrayType, unite_columns
+from cassandra_ros.query.arrays.batch import ReadBatches
 from cassandra_ros.query.arrays.column_values import empty_values, join_values, rows_of, stack_cells
-from cassandra_ros.query.arrays.stacked_values import MessageBlock
 from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.query.plan.bounds import bounds_of, with_stays
 from cassandra_ros.query.protocols import Row, Source, Table
@@ -33,15 +33,6 @@ Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition and the values of its ``?``."""
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all fields."""
-ColumnChoice = Callable[[Table], Optional[Sequence[str]]]
-"""Function from a table to the names of its columns that must be read; None = all."""
-ReadRows = Callable[[ColumnChoice], Iterator[Row]]
-"""Function that reads the stored rows that satisfy the condition."""
-
-ReadBlocks = Callable[[], Optional[Iterator[MessageBlock]]]
-"""Function that reads the same messages as whole blocks, in any order. It returns None if some of
-them are not stored in whole blocks; TopicNotFound: a table was replaced during the read."""
-
 _PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
 
 
@@ -58,19 +49,17 @@ def gather_fields(
     topic: Source[Row],
     fields: Fields,
     where: Where,
-    read: ReadRows,
-    blocks: ReadBlocks | None = None,
+    read: ReadBatches,
     *,
     whose: Whose = EVERYBODY,
 ) -> dict[str, FieldArray]:
-    """Gather fields from the rows of a topic.
+    """Gather fields from the messages of a topic.
 
     Args:
         topic: The topic.
         fields: Fields as a SELECT statement names them, KEY, NODE and RUN included; None = all.
         where: Condition that ``read`` applies to messages; here it selects unnested elements.
-        read: Reads the messages as rows.
-        blocks: Reads the messages as blocks, without an object for each message; None = as rows.
+        read: Reads the messages that satisfy the condition, in any order.
         whose: The robot and the runs whose messages ``read`` returns.
 
     Raises:
@@ -87,48 +76,16 @@ def gather_fields(
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
-    if blocks is not None and tables and all(t.takes_blocks for t in tables.values()):
-        values = _from_blocks(select, tables, blocks)
-        if values is not None:
-            return values
-        # Anew: some of these may hold values of blocks that were read before.
-        tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
 
-    def columns(table: Table) -> Sequence[str]:
-        table_values = tables.get(table.name)
-        return table.columns if table_values is None else table_values.needed
+    def values_of(table: Table) -> TableValues:
+        if table.name not in tables:  # the table was created during the read
+            tables[table.name] = TableValues(select, table, Findings(select.text))
+        return tables[table.name]
 
-    # The number of a row orders the rows of all tables. It stays 0 until a second table has one.
-    number, latest = 0, ""
-    for row in read(columns):
-        name = row.table.name
-        if name not in tables:  # the table was created during the read
-            tables[name] = TableValues(select, row.table, Findings(select.text))
-        if latest and (number or name != latest):
-            number += 1
-        latest = name
-        tables[name].add(row, number)
-    for table in tables.values():
-        table.flush()
-    return _join_tables(select, list(tables.values()))
-
-
-def _from_blocks(
-    select: Select, tables: Mapping[str, TableValues], blocks: ReadBlocks
-) -> dict[str, FieldArray] | None:
-    """Gather fields from blocks; None: they must be read as rows, by new ``tables``."""
-    read = blocks()
-    if read is None:
-        return None
-    try:
-        for block in read:
-            if block.table.name not in tables:  # the table was created during the read
-                return None
-            tables[block.table.name].add_block(block)
-    except TopicNotFound:
-        return None
-    for table in tables.values():
-        table.flush()
+    for batch in read(lambda table: values_of(table).parts):
+        values_of(batch.table).add(batch)
+    for values in tables.values():
+        values.flush()
     return _join_tables(select, list(tables.values()))
 
 
@@ -203,10 +160,7 @@ def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, Fie
             n: FieldArray(ArrayType(k), *empty_values(ArrayType(k), 0)) for n, k in kinds.items()
         }
     filled = [table for table in tables if table.count]
-    blocks = [block for table in filled for block in table.block_keys]
-    order = _order_of(blocks) if blocks else None
-    if len(filled) > 1 and not blocks:
-        order = np.argsort(np.concatenate([table.order for table in filled]), kind="stable")
+    order = _order_of(filled)
     arrays = {}
     for name, kind in dict(unite_columns([table.groups for table in tables])).items():
         values, missing = join_values([table.pop_column(name, kind) for table in filled], kind)
@@ -226,18 +180,22 @@ def _as_int64(values: AnyArray, missing: AnyArray) -> tuple[ArrayType, AnyArray]
         return ArrayType(MIXED), values
 
 
-def _order_of(blocks: Sequence[MessageBlock]) -> AnyArray | None:
-    """Return the order of messages by time, node, _seq and table; None: they are in order."""
-    times = np.concatenate([block.times for block in blocks])
+def _order_of(tables: Sequence[TableValues]) -> AnyArray | None:
+    """Return the order of rows by time, node, _seq and table; None: they are in order."""
+    keys = [(values.name, keys) for values in tables for keys in values.take_keys()]
+    if not keys:
+        return None
+    times = np.concatenate([row_keys.times for _, row_keys in keys])
     if (times[1:] > times[:-1]).all():
         return None
-    counts = [len(block.times) for block in blocks]
-    nodes, tables = (
-        np.repeat(np.unique(names, return_inverse=True)[1], counts)
-        for names in ([b.node for b in blocks], [b.table.name for b in blocks])
+    seqs = np.concatenate([row_keys.seqs for _, row_keys in keys])
+    owned = [(node, name, n) for name, row_keys in keys for node, n in row_keys.nodes]
+    nodes, names, counts = zip(*owned)
+    node_ranks, table_ranks = (
+        np.repeat(np.unique(texts, return_inverse=True)[1], counts) for texts in (nodes, names)
     )
-    order: AnyArray = np.lexsort((tables, np.concatenate([b.seqs for b in blocks]), nodes, times))
-    return order
+    order: AnyArray = np.lexsort((table_ranks, seqs, node_ranks, times))
+    return None if (order[1:] > order[:-1]).all() else order
 
 
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}

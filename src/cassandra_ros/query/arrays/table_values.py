@@ -1,28 +1,29 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The values of some fields of one table, gathered in arrays while its rows are read.
+"""The values of some fields of one table, gathered in arrays while its messages are read.
 
-Rows are gathered in batches. Their columns stay undecoded until the whole batch is converted to
-arrays. Only a field without a column of its own (an array inside an array of messages, say) is
-decoded value by value.
+Batches of messages are converted to arrays together: all messages of a layout at once
+(``stacked_values``), or column by column (``column_values``). Only a field without a column of its
+own (an array inside an array of messages, say) is decoded value by value.
 """
 
 from __future__ import annotations
 
-import logging
 import struct
 from dataclasses import replace
-from typing import Callable, Mapping, NamedTuple, Optional, Sequence
+from typing import Iterator, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
-from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidQuery, MessageNotFound
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidQuery
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.query.arrays.array_types import AnyArray, ArrayType, group_types
+from cassandra_ros.query.arrays.batch import Batch, Cells, RowParts, join_groups
 from cassandra_ros.query.arrays.column_values import (
     ColumnArray,
     Convert,
+    Raws,
     cast_values,
     compile_convert,
     count_elements,
@@ -32,58 +33,55 @@ from cassandra_ros.query.arrays.column_values import (
     none_missing,
     objects_of,
 )
-from cassandra_ros.query.arrays.stacked_values import (
-    MessageBlock,
-    StackedField,
-    group_by_size,
-    join_blocks,
-    read_stacked,
-)
-from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.rows.name_resolution import KEY_PLACE, NODE_PLACE, Findings
-from cassandra_ros.query.rows.projection import Projection, RowIdentity
+from cassandra_ros.query.arrays.stacked_values import StackedField, read_stacked
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.rows.name_resolution import KEY_PLACE, NODE_PLACE, Findings, RowValues
+from cassandra_ros.query.rows.projection import Projection
 from cassandra_ros.query.tree.field_names import FieldRef
 from cassandra_ros.query.tree.syntax import Select
 
-_log = logging.getLogger(__name__)
-
-DECODED_BATCH_ROWS = 4096
-"""Maximum number of rows that are decoded together."""
-DECODED_BATCH_BYTES = 8 * 1024 * 1024
-"""Size of the messages from which a batch of rows is decoded, bytes."""
-BLOCKS_BYTES = 2 * 1024 * 1024
-"""Size of the messages from which a batch of blocks is converted, bytes."""
-BATCH_MESSAGES = 16384
-"""Maximum number of messages in a batch of blocks; large, so that messages of rare sizes meet."""
+STACKED_MESSAGES = 16384
+"""Number of messages that are converted together; large, so that messages of rare sizes meet."""
+OTHER_MESSAGES = 4096
+"""The same for messages whose fields are converted column by column, or decoded."""
+CONVERTED_BYTES = 2 * 1024 * 1024
+"""Size of the messages from which they are converted, bytes."""
 
 
-Cut = Callable[[bytes], Sequence[Optional[bytes]]]
-"""Function that cuts columns out of a serialised message."""
+class Source(NamedTuple):
+    """The column that holds a field, and how its values are converted."""
 
-
-class Origin(NamedTuple):
-    """The source of a field's values."""
-
-    place: int
-    """Index of the column among those that are cut out."""
+    name: str
+    """Name of the column."""
     convert: Convert
     inside: bool
     """Whether the column is a list whose elements become rows."""
 
 
-class TableValues:
-    """Gathers the values of a statement's columns (fields, KEY, …) from the rows of one table.
+class RowKeys(NamedTuple):
+    """Keys of converted rows: of the messages, or of their elements that become rows."""
 
-    Undecoded columns are taken from the row, or cut out of the serialised message. If a field has
-    no column of its own, all fields are decoded. A table is filled either by ``add`` or, where
-    ``takes_blocks``, by ``add_block``; ``flush`` comes before its values are taken.
+    times: AnyArray
+    """Row keys, ns."""
+    seqs: AnyArray
+    nodes: Sequence[tuple[str, int]]
+    """nodeIDs, and for each the number of consecutive rows."""
+
+
+class TableValues:
+    """Gathers the values of a statement's columns (fields, KEY, …) from messages of one table.
+
+    Before its values are taken, ``flush`` converts the last messages.
 
     Attributes:
         groups: Name and type of the columns of each selected path.
-        block_keys: Times, nodes and _seq of the gathered blocks.
+        name: Name of the table.
+        parts: What has to be read of the table's rows.
+        count: Number of converted rows: values of each output.
     """
 
     def __init__(self, select: Select, table: Table, findings: Findings) -> None:
+        self.name = table.name
         self._table, self._text = table, select.text
         self._projection = Projection.compile(select, table, findings)
         self.groups = group_types(self._projection, table)
@@ -91,37 +89,49 @@ class TableValues:
         self._kinds = [kind for group in self.groups for _, kind in group]
         self._arrays = [".".join(s.name for s in array) for array in self._projection.unnested]
         """Paths of the arrays that are unnested."""
-        self._names: list[str] = []
-        """Names of the needed columns, each once."""
-        self._indices: dict[int, list[int] | None] = {}
-        """See _indices_in, by number of columns."""
         plan = None if table.definition is None else wire_plan(table.definition)
         columns = {} if plan is None else {column.name: column for column in plan.all_columns}
         # Source of each output; None: the output has no column of its own.
-        self._origins = [
-            None if output.ref is None else self._origin(output.ref, kind, columns)
+        self._sources = [
+            None if output.ref is None else self._source(output.ref, kind, columns)
             for output, kind in zip(self._outputs, self._kinds)
         ]
-        self._by_column = len(self._arrays) <= 1 and all(
-            origin or (output.ref is None and output.compute is None)
-            for output, origin in zip(self._outputs, self._origins)
-        )
-        """Whether the rows are converted column by column; else all fields are decoded."""
-        self._cut = plan.cutter(self._names) if plan is not None and self._names else None
         condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
-        # Checks the condition for each unnested element; None: all elements satisfy it.
-        self._tester = condition if condition.unnested else None
+        self._tests_elements = bool(condition.unnested)
+        """Whether some unnested elements of a message may not satisfy the condition."""
+        self._by_column = (
+            len(self._arrays) <= 1
+            and not self._tests_elements
+            and all(
+                source or (output.ref is None and output.compute is None)
+                for output, source in zip(self._outputs, self._sources)
+            )
+        )
+        """Whether the messages are converted column by column; else all fields are decoded."""
         self._stacked = self._stacked_fields(columns)
+        names = dict.fromkeys(source.name for source in self._sources if source is not None)
+        self._in_columns = table.by_field and names.keys() <= set(table.columns)
+        """Whether the table has a column for each field."""
+        self._names = [n for n in table.columns if n in names] if self._in_columns else list(names)
+        """Names of the columns that are read, or cut out of the messages."""
+        self.parts = self._parts()
         self.renew()
 
     def renew(self) -> None:
         """Discard the gathered values."""
         self._chunks: list[list[ColumnArray]] = [[] for _ in self._outputs]
-        """The values of each batch, for each output."""
-        self._orders: list[AnyArray] = []
-        """The numbers of the rows that the values come from, for each batch."""
-        self.block_keys: list[MessageBlock] = []
+        """The values of the messages that were converted together, for each output."""
+        self._keys: list[RowKeys] = []
+        """Keys of the converted rows."""
+        self.count = 0
         self._clear()
+
+    def _clear(self) -> None:
+        """Forget the messages that are not converted yet."""
+        self._batches: list[Batch] = []
+        self._count = self._bytes = 0
+        self._times: AnyArray = np.zeros(0, np.int64)
+        """Times of the messages that are being converted, ns."""
 
     def _stacked_fields(self, columns: Mapping[str, FieldColumn]) -> list[StackedField]:
         """Return all fields, if they can be read from many messages at once; else []."""
@@ -134,128 +144,46 @@ class TableValues:
         ]
         return fields if all(field.is_able for field in fields) else []
 
-    @property
-    def takes_blocks(self) -> bool:
-        """Whether add_block may be called."""
-        return bool(self._stacked) and self._tester is None
-
-    def _origin(
+    def _source(
         self, ref: FieldRef, kind: ArrayType, columns: Mapping[str, FieldColumn]
-    ) -> Origin | None:
+    ) -> Source | None:
         """Return the source of a field's values; None: it must be decoded value by value."""
         column = columns.get(ref.column)
         inside = column is not None and column.array in self._arrays
         convert = None if column is None else compile_convert(ref, column, kind, inside)
         if column is None or convert is None:
             return None
-        if column.name not in self._names:
-            self._names.append(column.name)
-        return Origin(self._names.index(column.name), convert, inside)
+        return Source(column.name, convert, inside)
 
-    @property
-    def needed(self) -> Sequence[str]:
-        """Columns of the table that must be read, in the table's order."""
-        table_columns = self._table.columns
-        if not self._by_column or not set(self._names) <= set(table_columns):
-            return table_columns
-        return [name for name in table_columns if name in self._names]
+    def _parts(self) -> RowParts:
+        """Return what has to be read of a row."""
+        table, extractor = self._table, self._projection.extractor
+        if not self._by_column:
+            if extractor is None:
+                return RowParts(table, ())
+            return RowParts(table, extractor.columns if table.by_field else None)
+        in_row = self._in_columns or not self._names
+        return RowParts(table, self._names if in_row else None, self._names)
 
-    def _read(self, row: Row) -> Sequence[bytes | None] | None:
-        """Return the needed columns of a row, each None if the message is unreadable.
-
-        If all fields are stacked, the only column is the whole message. Return None if the message
-        was deleted after the row was read.
-        """
-        if self._cut is None:
-            return ()
-        try:
-            if self._stacked:
-                return (row.wire,)
-            columns = row.columns
-            indices = self._indices_in(len(columns))
-            if indices is not None:
-                raws = [columns[n] for n in indices]
-                # In a row marked odd, a column that is set is exact.
-                if None not in raws:
-                    return raws
-            return self._cut(row.wire)
-        except MessageNotFound:
-            return None
-        except CorruptMessage as exc:
-            _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
-            return [None] * (1 if self._stacked else len(self._names))
-
-    def _indices_in(self, width: int) -> list[int] | None:
-        """Return the index of each needed column in a row with ``width`` columns.
-
-        The width tells whether the row has all columns or the needed ones. None: it has others, or
-        the columns are not fields.
-        """
-        if not self._table.by_field:
-            return None
-        if width not in self._indices:
-            row_names = list(self._table.columns)
-            if width != len(row_names):
-                row_names = [name for name in row_names if name in self._names]
-            fits = width == len(row_names) and all(name in row_names for name in self._names)
-            self._indices[width] = [row_names.index(name) for name in self._names] if fits else None
-        return self._indices[width]
-
-    def _clear(self) -> None:
-        """Begin a batch: what is known of the rows and blocks that are not converted yet."""
-        self._numbers: list[int] = []
-        self._own: list[RowIdentity] = []
-        self._raws: list[Sequence[bytes | None]] = []
-        self._hits: list[list[bool]] = []
-        """For each element of a row whether it satisfies the condition."""
-        self._decoded: list[Sequence[object]] = []
-        self._blocks: list[MessageBlock] = []
-        self._bytes = 0
-
-    def add(self, row: Row, number: int) -> None:
-        """Add a row that satisfies the condition; its number orders the rows of all tables.
-
-        The numbers never fall.
-        """
-        projection = self._projection
-        if self._by_column:
-            raws = self._read(row)
-            if raws is None:
-                return
-            self._numbers.append(number)
-            self._own.append(projection.own(row))
-            self._raws.append(raws)
-            if self._tester is not None:
-                self._hits.append(list(self._tester.hits(row)))
-            self._bytes += sum([len(raw) for raw in raws if raw is not None])
-        else:
-            rows = list(projection.values(row))
-            if self._tester is not None:
-                rows = [values for values in rows if projection.check(values) is True]
-            self._decoded += map(projection.complete, rows)
-            self._numbers += [number] * len(rows)
-            self._bytes += row.size
-        if len(self._numbers) >= DECODED_BATCH_ROWS or self._bytes >= DECODED_BATCH_BYTES:
-            self.flush()
-
-    def add_block(self, block: MessageBlock) -> None:
-        """Add a block of messages that all satisfy the condition; ``block_keys`` orders them."""
-        self._blocks.append(block)
-        self.block_keys.append(block._replace(groups=()))
-        self._numbers += [0] * len(block.times)
-        self._bytes += sum(planes.size for _, planes in block.groups)
-        if len(self._numbers) >= BATCH_MESSAGES or self._bytes >= BLOCKS_BYTES:
+    def add(self, batch: Batch) -> None:
+        """Add messages that satisfy the condition."""
+        self._batches.append(batch)
+        self._count += len(batch)
+        self._bytes += batch.size
+        limit = STACKED_MESSAGES if self._stacked else OTHER_MESSAGES
+        if self._count >= limit or self._bytes >= CONVERTED_BYTES:
             self.flush()
 
     def flush(self) -> None:
-        """Convert the rows of the batch to arrays; CorruptMessage: a column is malformed."""
-        if not self._numbers:
+        """Convert the messages that were added; CorruptMessage: a column is malformed."""
+        if not self._batches:
             return
+        self._times = np.concatenate([batch.times for batch in self._batches])
+        convert = self._value_by_value
+        if self._by_column:
+            convert = self._all_at_once if self._stacked else self._column_by_column
         try:
-            if self._stacked:
-                chunks = self._all_at_once()
-            else:
-                chunks = self._column_by_column() if self._by_column else self._value_by_value()
+            chunks = convert()
         except (ValueError, struct.error) as exc:
             if isinstance(exc, CassandraRosError):
                 raise
@@ -265,103 +193,116 @@ class TableValues:
         self._clear()
 
     def _all_at_once(self) -> list[ColumnArray]:
-        """Convert a batch whose fields are all stacked."""
-        definition, cut = self._table.definition, self._cut
-        if definition is None or cut is None:
+        """Convert messages whose fields are all stacked."""
+        definition = self._table.definition
+        if definition is None:
             raise AssertionError("only fields of a definition are stacked")
-        count = len(self._numbers)
-        groups = (
-            join_blocks(self._blocks) if self._blocks else group_by_size([r for (r,) in self._raws])
-        )
-        arrays, rest = read_stacked(definition, self._stacked, count, groups)
-        columns = list(zip(*[self._cut_one(n, wire, cut) for n, wire in rest]))
+        count = self._count
+        arrays, rest = read_stacked(definition, self._stacked, count, join_groups(self._batches))
+        self._add_keys(None)
+        cut = [self.parts.cut(wire, int(self._times[n])) for n, wire in rest]
+        columns = self._columns_of(cut)
         fields, indices = iter(arrays), np.array([n for n, _ in rest], np.int64)
         chunks = []
-        for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
-            if origin is None:
-                chunks.append(self._own_values(output.place, kind))
+        for output, source in zip(self._outputs, self._sources):
+            if source is None:
+                chunks.append(self._own_values(output.place))
                 continue
             chunk = next(fields)
             if rest:
-                values, missing = origin.convert(columns[origin.place])
+                values, missing = source.convert(columns[source.name])
                 chunk.values[indices], chunk.missing[indices] = values, missing
             if not chunk.missing.any():
                 chunk = chunk._replace(missing=none_missing(count))
             chunks.append(chunk)
-        self._orders.append(_order(self._numbers))
         return chunks
 
-    def _cut_one(self, n: int, wire: bytes, cut: Cut) -> Sequence[bytes | None]:
-        """Return the columns of message ``n`` of the batch, each None if it is unreadable."""
-        try:
-            return cut(wire)
-        except CorruptMessage as exc:
-            key = self._own_values(KEY_PLACE, ArrayType("time")).values[n]
-            kind = self._table.msg_type
-            _log.warning("a message of type %s at %s cannot be read: %s", kind, key, exc)
-            return [None] * len(self._names)
-
     def _value_by_value(self) -> list[ColumnArray]:
-        """Convert a batch of decoded values."""
-        columns = list(zip(*self._decoded))
-        self._orders.append(_order(self._numbers))
+        """Convert messages by decoding each value."""
+        decoded: list[RowValues] = []
+        counts: list[int] = []
+        for batch in self._batches:
+            for rows in self._rows_of(batch):
+                decoded += rows
+                counts.append(len(rows))
+        self._add_keys(np.array(counts))
+        columns = list(zip(*decoded))
         chunks = []
         for output, kind in zip(self._outputs, self._kinds):
             try:
-                chunks.append(from_decoded(columns[output.place], kind))
+                chunks.append(from_decoded(columns[output.place] if columns else (), kind))
             except OverflowError as exc:
                 reason = f"{output.name} goes beyond int64 nanoseconds; executeCQL answers it"
                 raise InvalidQuery(self._text, len("SELECT "), reason) from exc
         return chunks
 
-    def _column_by_column(self) -> list[ColumnArray]:
-        """Convert a batch of columns; values outside an unnested array repeat for its elements."""
-        columns = list(zip(*self._raws))
-        counts = hits_mask = None
-        if self._tester is not None:
-            counts = np.array([len(hits) for hits in self._hits])
-            hits_mask = np.array([hit for hits in self._hits for hit in hits], bool)
+    def _rows_of(self, batch: Batch) -> Iterator[Sequence[RowValues]]:
+        """Yield for each message the values of its rows."""
+        projection = self._projection
+        identities = batch.identities(named=projection.named, runs=projection.runs)
+        if self.parts.columns is None:
+            values = map(projection.wire_values, identities, batch.wires)
         else:
-            place = next((o.place for o in self._origins if o is not None and o.inside), None)
-            counts = None if place is None else count_elements(columns[place])
+            values = map(projection.cell_values, identities, batch.cells(self.parts))
+        for rows in values:
+            kept = filter(self._passes, rows) if self._tests_elements else rows
+            yield list(map(projection.complete, kept))
+
+    def _passes(self, values: RowValues) -> bool:
+        return self._projection.check(values) is True
+
+    def _column_by_column(self) -> list[ColumnArray]:
+        """Convert columns; values outside an unnested array repeat for its elements."""
+        cells = [cells for batch in self._batches for cells in batch.cells(self.parts)]
+        columns = self._columns_of(cells)
+        inside = next((s.name for s in self._sources if s is not None and s.inside), None)
+        counts = None if inside is None else count_elements(columns[inside])
+        self._add_keys(counts)
         chunks = []
-        for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
-            if origin is None:
-                chunk, repeats = self._own_values(output.place, kind), counts
+        for output, source in zip(self._outputs, self._sources):
+            if source is None:
+                chunk, repeats = self._own_values(output.place), counts
             else:
-                chunk = origin.convert(columns[origin.place])
-                repeats = None if origin.inside else counts
-            chunks.append(ColumnArray(*(_choose(values, repeats, hits_mask) for values in chunk)))
-        self._orders.append(_choose(_order(self._numbers), counts, hits_mask))
+                chunk = source.convert(columns[source.name])
+                repeats = None if source.inside else counts
+            chunks.append(ColumnArray(*(_repeat(values, repeats) for values in chunk)))
         return chunks
 
-    def _own_values(self, place: int, kind: ArrayType) -> ColumnArray:
-        """Return KEY, NODE or RUN (``place``: KEY_PLACE, say) of the messages of the batch."""
-        if self._blocks:
-            return self._own_values_of_blocks(place)
-        column = [identity[place] for identity in self._own]
-        values = objects_of(column) if kind.dtype.kind == "O" else np.array(column, np.int64)
-        return ColumnArray(values, none_missing(len(column)))
+    def _columns_of(self, cells: Sequence[Cells]) -> Mapping[str, Raws]:
+        """Return the columns of some messages by name; of an unreadable message each is None."""
+        missing: Sequence[None] = [None] * len(self._names)
+        rows = [missing if own_cells is None else own_cells for own_cells in cells]
+        return dict(zip(self._names, zip(*rows)))
 
-    def _own_values_of_blocks(self, place: int) -> ColumnArray:
-        blocks = self._blocks
-        counts = [len(block.times) for block in blocks]
-        if place == KEY_PLACE:
-            values = np.concatenate([block.times for block in blocks])
+    def _own_values(self, place: int) -> ColumnArray:
+        """Return KEY, NODE or RUN (``place``: KEY_PLACE, say) of the messages."""
+        if place == KEY_PLACE and self._table.named:
+            values = objects_of([name for batch in self._batches for name in batch.names])
+        elif place == KEY_PLACE:
+            values = self._times
         else:
-            texts = [block.node if place == NODE_PLACE else block.run() for block in blocks]
-            values = np.repeat(objects_of(texts), counts)
-        return ColumnArray(values, none_missing(sum(counts)))
+            owners = [owner for batch in self._batches for owner in batch.owners]
+            runs = self._table.runs
+            texts = [o.node if place == NODE_PLACE else runs.text(o.writer) for o in owners]
+            values = np.repeat(objects_of(texts), [owner.messages for owner in owners])
+        return ColumnArray(values, none_missing(self._count))
 
-    @property
-    def count(self) -> int:
-        """Number of values of each output."""
-        return sum(len(order) for order in self._orders)
+    def _add_keys(self, counts: AnyArray | None) -> None:
+        """Note the keys of the rows; ``counts``: number of rows of each message, None = one."""
+        seqs = np.concatenate([batch.seqs for batch in self._batches])
+        owners = [owner for batch in self._batches for owner in batch.owners]
+        ends = np.cumsum([owner.messages for owner in owners])
+        if counts is not None:
+            ends = np.concatenate([[0], np.cumsum(counts)])[ends]
+        numbers = np.diff(ends, prepend=0).tolist()
+        nodes = list(zip([owner.node for owner in owners], numbers))
+        self._keys.append(RowKeys(_repeat(self._times, counts), _repeat(seqs, counts), nodes))
+        self.count += sum(numbers)
 
-    @property
-    def order(self) -> AnyArray:
-        """Numbers of the rows that the values come from."""
-        return np.concatenate(self._orders)
+    def take_keys(self) -> Sequence[RowKeys]:
+        """Return the keys of the converted rows, and forget them to free their memory."""
+        keys, self._keys = self._keys, []
+        return keys
 
     def pop_column(self, name: str, kind: ArrayType) -> ColumnArray:
         """Return the values of a column as type ``kind``, and forget them to free their memory.
@@ -375,14 +316,6 @@ class TableValues:
         return empty_values(kind, self.count)
 
 
-def _order(numbers: Sequence[int]) -> AnyArray:
-    """Return the numbers of one or more rows as an array; they never fall."""
-    # As long as only one table has rows, all numbers are 0 and take no memory.
-    return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
-
-
-def _choose(values: AnyArray, counts: AnyArray | None, mask: AnyArray | None) -> AnyArray:
-    """Repeat the values of a message for each of its elements, and keep those that match."""
-    if counts is not None:
-        values = np.repeat(values, counts, axis=0)
-    return values if mask is None else values[mask]
+def _repeat(values: AnyArray, counts: AnyArray | None) -> AnyArray:
+    """Return the values of messages, each repeated for the message's elements; None = once."""
+    return values if counts is None else np.repeat(values, counts, axis=0)

@@ -164,6 +164,14 @@ class Extractor:
         """
         return self._every(self._read(wire))
 
+    def cell_values(self, cells: Sequence[bytes]) -> Iterator[FieldValueList]:
+        """Yield the values of a message of which ``columns`` were read.
+
+        CorruptMessage: malformed column; raised as by ``values``.
+        """
+        places = zip(self._stored, self._projected)
+        return self._every([self._plan.value(n, cells[place]) for n, place in places])
+
     def _every(self, column_values: FieldValueList) -> Iterator[FieldValueList]:
         columns = iter(column_values)
         # A field without a column lies in an array without elements.
@@ -445,8 +453,8 @@ class Projection:
         rows = None if self.compiled is None else self.compiled(row)
         return any(self.hits(row)) if rows is None else bool(rows)
 
-    def passes(self, identity: RowIdentity, wire: bytes | None) -> bool:
-        """Return whether a message, or one of its unnested elements, satisfies the condition.
+    def wire_values(self, identity: RowIdentity, wire: bytes | None) -> Iterator[RowValues]:
+        """Yield the values of a message, like ``values``.
 
         Args:
             identity: Its KEY, NODE, RUN and time.
@@ -454,11 +462,37 @@ class Projection:
         """
         if self.extractor is not None and wire is not None:
             try:
-                fields = self.extractor.wire_values(wire)
-                return any(self.check((*identity, *values)) is True for values in fields)
+                for fields in self.extractor.wire_values(wire):
+                    yield (*identity, *fields)
+                return
             except CorruptMessage as exc:
                 _log.warning("a message at %s cannot be read: %s", identity[0], exc)
-        return self.check((*identity, *[None] * (self.width - OWN_WIDTH))) is True
+        yield (*identity, *[None] * (self.width - OWN_WIDTH))
+
+    def cell_values(
+        self, identity: RowIdentity, cells: Sequence[bytes] | None
+    ) -> Iterator[RowValues]:
+        """Yield the values of a message of format ``ros``, like ``values``.
+
+        Args:
+            identity: Its KEY, NODE, RUN and time.
+            cells: The columns ``extractor.columns``; None = the message cannot be read.
+        """
+        if self.extractor is not None and cells is not None:
+            try:
+                for fields in self.extractor.cell_values(cells):
+                    yield (*identity, *fields)
+                return
+            except CorruptMessage as exc:
+                _log.warning("a message at %s cannot be read: %s", identity[0], exc)
+        yield (*identity, *[None] * (self.width - OWN_WIDTH))
+
+    def passes(self, identity: RowIdentity, wire: bytes | None) -> bool:
+        """Return whether a message, or one of its elements, satisfies the condition.
+
+        The arguments are those of ``wire_values``.
+        """
+        return any(self.check(values) is True for values in self.wire_values(identity, wire))
 
     def rows(self, row: Row) -> Iterable[ResultRow]:
         """Return the rows of the result that a stored row gives; unnested elements lazily."""

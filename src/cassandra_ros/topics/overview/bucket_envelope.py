@@ -10,8 +10,6 @@ other messages are read and made into arrays.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain
 from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
@@ -19,14 +17,14 @@ import numpy as np
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.messages.wire.zones import HIGH, LOW
 from cassandra_ros.query.arrays.array_types import AnyArray, ArrayType, group_types
+from cassandra_ros.query.arrays.batch import Batch
 from cassandra_ros.query.arrays.column_values import Convert, compile_convert
 from cassandra_ros.query.arrays.envelope import Envelope, Grid, finite
 from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.query.plan.bounds import Bounds
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch
-from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.name_resolution import Findings
-from cassandra_ros.query.rows.projection import Projection
+from cassandra_ros.query.rows.projection import Projection, Projections
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.syntax import FieldPath, KeyOperand, Select, Selected, StatementError
 from cassandra_ros.read import Read, TimeRange, Whose
@@ -37,8 +35,7 @@ from cassandra_ros.store.connection.requests import PagedRead
 from cassandra_ros.store.tables.row_table import MAX_SEQ, MIN_SEQ
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.overview.plot_columns import Column, as_floats
-from cassandra_ros.topics.query_result import blocks_inside
-from cassandra_ros.topics.row_reader import messages_of
+from cassandra_ros.topics.row_reader import block_batches
 from cassandra_ros.topics.topic_table import TopicTable
 
 EDGES_AT_ONCE = 64
@@ -159,9 +156,9 @@ class PieceReader:
         envelope.sure.merge(earlier.sure)
         edges, envelope.edges = earlier.edges[:EDGES_AT_ONCE], earlier.edges[EDGES_AT_ONCE:]
         values = self._values(piece.table)
-        for block in messages_of(open_blocks(self._blocks(piece), edges), [piece.table]):
+        for batch in block_batches(open_blocks(self._blocks(piece), edges), [piece.table]):
             self._watch()
-            values.add_block(block)
+            values.add(batch)
         _drain(values, envelope.sure)
         if envelope.edges:
             envelope.around.merge(earlier.around)
@@ -244,16 +241,19 @@ class PieceReader:
     def _add_messages(self, piece: BucketPiece, envelope: Envelope) -> None:
         """Read the messages of a piece, and make arrays of a limited number at a time."""
         values, count = self._values(piece.table), 0
-        for number in self._take_messages(piece, values):
+        for batch in self._batches(piece, values):
             self._watch()
-            count += number
+            if batch.table.name != piece.table.name:
+                raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
+            values.add(batch)
+            count += len(batch)
             if count >= MOST_MESSAGES:
                 _drain(values, envelope)
                 count = 0
         _drain(values, envelope)
 
-    def _take_messages(self, piece: BucketPiece, values: TableValues) -> Iterator[int]:
-        """Pass the messages of a piece to ``values``; yield how many, each time.
+    def _batches(self, piece: BucketPiece, values: TableValues) -> Iterator[Batch]:
+        """Yield the messages of a piece that satisfy the condition.
 
         Raises:
             TopicNotFound: The table was replaced or dropped meanwhile.
@@ -261,32 +261,13 @@ class PieceReader:
         whose = Whose((piece.node,), self._request.bounds.read.whose.writers)
         read = Read(TimeRange(piece.low, piece.high), whose)
         table, bounds = piece.table, self._request.bounds
-        test = None
+        check = None
         if not bounds.whole:
             read = replace(read, chooser=Pushdown(self._select.condition, watch=self._watch))
             no_columns = replace(self._select, columns=())
-            test = Projection.compile(no_columns, table, Findings(self._select.text))
-        bounds = replace(bounds, read=read)
-        if table.packed and values.takes_blocks:
-            read_blocks = partial(self._rows.blocks, [table])
-            for block in blocks_inside(read_blocks, lambda _: test, bounds):
-                _check_table(block.table, piece)
-                values.add_block(block)
-                yield len(block.times)
-            return
-        if test is None:
-            bounds = replace(bounds, read=replace(read, columns=lambda _: values.needed))
-        rows = chain.from_iterable(map(partial(self._rows.read, [table]), bounds.reads()))
-        for row in rows if test is None else filter(test.hit, rows):
-            _check_table(row.table, piece)
-            values.add(row, 0)
-            yield 1
-
-
-def _check_table(table: Table, piece: BucketPiece) -> None:
-    """Raise TopicNotFound for messages of a table that has replaced the one to be read."""
-    if table.name != piece.table.name:
-        raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
+            check = Projections(no_columns, [table]).of
+        for part in replace(bounds, read=read).reads():
+            yield from self._rows.batches([table], part, lambda _: values.parts, check)
 
 
 def _plain_field(column: Column, table: TopicTable) -> FieldRef | None:

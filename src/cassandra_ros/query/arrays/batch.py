@@ -1,0 +1,424 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Batches: messages of one table that are read together.
+
+The messages of a block are a batch; rows are cut into batches (``row_batches``). A batch has the
+keys of its messages, and either the messages or some of their columns. Which of them a reader needs
+of a table, it says with ``RowParts``. Messages lie in planes, so that a field of all of them is
+read at once.
+"""
+
+from __future__ import annotations
+
+import logging
+from abc import ABC, abstractmethod
+from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.errors import CorruptMessage, MessageNotFound
+from cassandra_ros.keys import writer_of
+from cassandra_ros.messages.wire.message_stacks import (
+    ByteArray,
+    Int64Array,
+    Planes,
+    by_size,
+    copy_planes,
+)
+from cassandra_ros.messages.wire.wire_plan import wire_plan
+from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.rows.projection import Projection, RowIdentity
+
+_log = logging.getLogger(__name__)
+
+ROW_BATCH_MESSAGES = 4096
+"""Maximum number of messages in a batch of rows."""
+ROW_BATCH_BYTES = 8 * 1024 * 1024
+"""Size of what is read of the rows from which a batch of them ends, bytes."""
+
+SizeGroups = Iterable[Tuple[Int64Array, Planes]]
+"""Pairs of message indices, ascending, and message planes; one pair for each message size."""
+Cells = Optional[Sequence[bytes]]
+"""Some columns of a message, in CQL's encoding; None = the message is unreadable."""
+
+
+class Owner(NamedTuple):
+    """The robot and the writer of consecutive messages of a batch."""
+
+    node: str
+    writer: int
+    """Writer id."""
+    messages: int
+    """Number of the messages."""
+
+
+class Batch(ABC):
+    """Messages of one table.
+
+    Args:
+        table: The table.
+        times: Row keys of the messages, ns. Of messages with names the times of the names.
+        seqs: ``_seq`` of the messages.
+        owners: Robots and writers of the messages.
+
+    Attributes:
+        names: Names of the messages; () if they are found by their times.
+    """
+
+    names: Sequence[str] = ()
+
+    def __init__(
+        self, table: Table, times: Int64Array, seqs: Int64Array, owners: Sequence[Owner]
+    ) -> None:
+        self.table, self.owners = table, owners
+        self.times, self.seqs = times, seqs
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of bytes of what was read of the messages."""
+
+    @property
+    @abstractmethod
+    def groups(self) -> SizeGroups:
+        """The messages; one that is in no group is unreadable, or was not read."""
+
+    @property
+    @abstractmethod
+    def wires(self) -> Sequence[bytes | None]:
+        """The messages one by one; None = it is unreadable, or was not read."""
+
+    def cells(self, parts: RowParts) -> Sequence[Cells]:
+        """Return some columns of each message; ``parts`` names them."""
+        identities = self.identities()
+        return [parts.cut(wire, next(identities)[3]) for wire in self.wires]
+
+    def identities(self, *, named: bool = False, runs: bool = False) -> Iterator[RowIdentity]:
+        """Yield what a condition knows of each message besides its fields.
+
+        Args:
+            named: Whether KEY is a name.
+            runs: Whether RUN is needed.
+        """
+        times = self.times.tolist()
+        keys: Sequence[int | str] = self.names if named else times
+        begin = 0
+        for node, writer, messages in self.owners:
+            run = self.table.runs.text(writer) if runs else ""
+            end = begin + messages
+            yield from ((key, node, run, t) for key, t in zip(keys[begin:end], times[begin:end]))
+            begin = end
+
+
+class BlockBatch(Batch):
+    """Messages of a block: of one writer, in the order of time.
+
+    Args:
+        node: nodeID of the messages.
+        writer: Writer id of the messages.
+        groups: The messages by size.
+        unsure: For each message whether the condition of the read has to be checked again, because
+            the store is not sure; None = all have to be.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        node: str,
+        writer: int,
+        times: Int64Array,
+        seqs: Int64Array,
+        groups: Sequence[tuple[Int64Array, Planes]],
+        unsure: NDArray[np.bool_] | None = None,
+    ) -> None:
+        super().__init__(table, times, seqs, (Owner(node, writer, len(times)),))
+        self._groups, self._unsure = groups, unsure
+
+    @property
+    def size(self) -> int:
+        """Number of bytes of the messages."""
+        return sum(planes.size for _, planes in self._groups)
+
+    @property
+    def groups(self) -> SizeGroups:
+        """The messages; one that is in no group is unreadable."""
+        return self._groups
+
+    @property
+    def wires(self) -> Sequence[bytes | None]:
+        """The messages one by one; None = it is unreadable."""
+        wires: list[bytes | None] = [None] * len(self)
+        for members, planes in self._groups:
+            size, data = len(planes), planes.T.tobytes()
+            for k, n in enumerate(members.tolist()):
+                wires[n] = data[k * size : (k + 1) * size]
+        return wires
+
+    def only(self, mask: NDArray[np.bool_]) -> BlockBatch:
+        """Return the batch of some of its messages: a bool for each."""
+        node, writer, _ = self.owners[0]
+        groups = choose_groups(self._groups, mask)
+        return BlockBatch(self.table, node, writer, self.times[mask], self.seqs[mask], groups)
+
+    def passing(self, projection: Projection) -> BlockBatch:
+        """Return the batch of those messages that satisfy the condition of a projection."""
+        unsure = np.ones(len(self), bool) if self._unsure is None else self._unsure
+        if not unsure.any():
+            return self
+        doubtful = self.only(unsure)
+        wires = doubtful.wires if projection.extractor is not None else [None] * len(doubtful)
+        mask = ~unsure
+        mask[unsure] = [
+            projection.passes(identity, wire)
+            for identity, wire in zip(doubtful.identities(runs=projection.runs), wires)
+        ]
+        return self.only(mask)
+
+
+class RowBatch(Batch):
+    """Messages of rows, in the order of the read.
+
+    Args:
+        keys: For each message time, nodeID, ``_seq`` and name.
+        parts: What was read of them.
+        read_cells: What was read of each message.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        keys: Sequence[tuple[int, str, int, str]],
+        parts: RowParts,
+        read_cells: Sequence[Cells],
+    ) -> None:
+        times, nodes, seqs, names = zip(*keys)
+        owners = _owners(nodes, [writer_of(seq) for seq in seqs])
+        super().__init__(table, np.array(times, np.int64), np.array(seqs, np.int64), owners)
+        if table.named:
+            self.names = names
+        self._parts, self._cells = parts, read_cells
+
+    @property
+    def size(self) -> int:
+        """Number of bytes of what was read of the messages."""
+        return sum(_size_of(cells) for cells in self._cells)
+
+    @property
+    def groups(self) -> SizeGroups:
+        """The messages; one that is in no group is unreadable, or was not read."""
+        return group_by_size(self.wires)
+
+    @property
+    def wires(self) -> Sequence[bytes | None]:
+        """The messages one by one; None = it is unreadable, or was not read."""
+        if self._parts.columns is not None:
+            return [None] * len(self)
+        return [None if cells is None else cells[0] for cells in self._cells]
+
+    def cells(self, parts: RowParts) -> Sequence[Cells]:
+        """Return some columns of each message; ``parts`` names them."""
+        return super().cells(parts) if self._parts.columns is None else self._cells
+
+
+def _owners(nodes: Sequence[str], writers: Sequence[int]) -> Sequence[Owner]:
+    """Return the owners of messages, from the robot and the writer of each."""
+    if len(set(nodes)) == len(set(writers)) == 1:
+        return (Owner(nodes[0], writers[0], len(nodes)),)
+    pairs = list(zip(nodes, writers))
+    begins = [n for n, pair in enumerate(pairs) if not n or pair != pairs[n - 1]]
+    ends = [*begins[1:], len(pairs)]
+    return [Owner(*pairs[begin], end - begin) for begin, end in zip(begins, ends)]
+
+
+class RowParts:
+    """What is read of the rows of a table: some columns, or the messages.
+
+    Args:
+        table: The table.
+        columns: Names of the columns, in the table's order; None = the messages.
+        fields: Names of the columns that ``cut`` returns; None = ``columns``.
+    """
+
+    def __init__(
+        self, table: Table, columns: Sequence[str] | None, fields: Sequence[str] | None = None
+    ) -> None:
+        self.columns = columns
+        self._table = table
+        self._names = fields if fields is not None else columns or ()
+        self._cut = None
+        if table.definition is not None and self._names:
+            self._cut = wire_plan(table.definition).cutter(self._names)
+        self._width = len(table.columns)
+        self._places = [table.columns.index(name) for name in columns or ()]
+
+    def of(self, row: Row) -> Cells:
+        """Return what is read of a row: the columns, or the message alone.
+
+        Raises:
+            MessageNotFound: The message was deleted after the row was read.
+        """
+        try:
+            if self.columns is None:
+                return (row.wire,)
+            if not self.columns:
+                return ()
+            columns: Sequence[bytes | None] = row.columns
+            # A row has all columns or those that were requested; else its bytes are cut.
+            if len(columns) == self._width:
+                columns = [columns[n] for n in self._places]
+            # In a row marked odd, a column that is set is exact.
+            if len(columns) == len(self.columns) and None not in columns:
+                return columns  # type: ignore[return-value]  # no column is None
+            return self.cut(row.wire, row.t)
+        except CorruptMessage as exc:
+            _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+            return None
+
+    def cut(self, wire: bytes | None, t: int) -> Cells:
+        """Return the columns of a message.
+
+        Args:
+            wire: The message.
+            t: Its time, ns, for the warning.
+        """
+        if wire is not None and self._cut is not None:
+            try:
+                return self._cut(wire)
+            except CorruptMessage as exc:
+                kind = self._table.msg_type
+                _log.warning("a message of type %s at %s cannot be read: %s", kind, t, exc)
+        return None
+
+
+PartsOf = Callable[[Table], RowParts]
+"""Function of a table that returns what is read of its rows."""
+ReadBatches = Callable[[PartsOf], Iterator[Batch]]
+"""Function that reads messages."""
+
+
+CheckOf = Callable[[Table], Projection]
+"""Function of a table that returns the check of a condition on its messages."""
+
+
+def only_keys(table: Table) -> RowParts:
+    """Return that nothing but the keys of a table's messages is read."""
+    return RowParts(table, ())
+
+
+def row_batches(rows: Iterable[Row], parts_of: PartsOf) -> Iterator[Batch]:
+    """Yield rows as batches, without messages that were deleted meanwhile.
+
+    The batches of a table are in the order of the rows.
+    """
+    open_batches: dict[str, _OpenBatch] = {}
+    for row in rows:
+        name = row.table.name
+        if name not in open_batches:
+            open_batches[name] = _OpenBatch(row.table, parts_of(row.table))
+        batch = open_batches[name]
+        try:
+            batch.add(row)
+        except MessageNotFound:
+            continue
+        if batch.is_full:
+            yield batch.closed()
+            del open_batches[name]
+    for batch in open_batches.values():
+        if batch.keys:
+            yield batch.closed()
+
+
+class _OpenBatch:
+    """The batch of a table to which rows are being added."""
+
+    def __init__(self, table: Table, parts: RowParts) -> None:
+        self._table, self._parts = table, parts
+        self.keys: list[tuple[int, str, int, str]] = []
+        self._cells: list[Cells] = []
+        self._size = 0
+
+    def add(self, row: Row) -> None:
+        """Add a row; raises MessageNotFound if its message was deleted."""
+        cells = self._parts.of(row)
+        # The rows themselves are not kept: they hold the bytes of whole messages.
+        self.keys.append((row.t, row.node, row.seq, row.name))
+        self._cells.append(cells)
+        self._size += _size_of(cells)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it has as many messages or bytes as a batch may have."""
+        return len(self.keys) >= ROW_BATCH_MESSAGES or self._size >= ROW_BATCH_BYTES
+
+    def closed(self) -> RowBatch:
+        """Return the batch of the rows that were added."""
+        return RowBatch(self._table, self.keys, self._parts, self._cells)
+
+
+def _size_of(cells: Cells) -> int:
+    return 0 if cells is None else sum(map(len, cells))
+
+
+def choose_groups(
+    groups: Iterable[tuple[Int64Array, Planes]], mask: NDArray[np.bool_]
+) -> Sequence[tuple[Int64Array, Planes]]:
+    """Return the groups of some of their messages, numbered anew; ``mask``: a bool for each."""
+    if mask.all():
+        return list(groups)
+    numbers = np.cumsum(mask) - 1
+    chosen: list[tuple[Int64Array, Planes]] = []
+    for members, planes in groups:
+        inside = mask[members]
+        if inside.any():
+            chosen.append((numbers[members[inside]], planes[:, inside]))
+    return chosen
+
+
+def group_by_size(wires: Sequence[bytes | None]) -> SizeGroups:
+    """Group messages by size; None stands for a missing message."""
+    indices = np.array([n for n, wire in enumerate(wires) if wire is not None], np.int64)
+    for members, planes in by_size([wire for wire in wires if wire is not None]):
+        yield indices[members], planes
+
+
+def join_groups(batches: Sequence[Batch], apart: int | None = None) -> SizeGroups:
+    """Join the groups of batches: if sizes vary, each block has only few messages of a size.
+
+    Args:
+        batches: The batches.
+        apart: Number of messages from which a group is not joined, because all of its bytes would
+            be decoded and copied; None = all are joined.
+    """
+    groups: dict[int, list[tuple[Int64Array, Planes]]] = {}
+    first = 0
+    for batch in batches:
+        for members, planes in batch.groups:
+            if apart is not None and len(members) >= apart:
+                yield members + first, planes
+            else:
+                groups.setdefault(len(planes), []).append((members + first, planes))
+        first += len(batch)
+    for pairs in groups.values():
+        if len(pairs) == 1:
+            yield pairs[0]
+        else:
+            indices = np.concatenate([members for members, _ in pairs])
+            yield indices, _join([planes for _, planes in pairs], len(indices))
+
+
+def _join(groups: Sequence[Planes], count: int) -> ByteArray:
+    """Return the planes of ``count`` messages of one size, from several groups."""
+    arrays = [planes for planes in groups if isinstance(planes, np.ndarray)]
+    if len(arrays) == len(groups):
+        return np.concatenate(arrays, axis=1)  # messages that are adjacent in memory stay so
+    all_planes = np.empty((len(groups[0]), count), np.uint8)
+    at = 0
+    for planes in groups:
+        after = at + planes.shape[1]
+        copy_planes(planes, all_planes[:, at:after])
+        at = after
+    return all_planes
