@@ -68,6 +68,16 @@ class ColumnField(NamedTuple):
     """struct code of a number of fixed size that is returned unchanged, else ''."""
 
 
+class FieldSource(NamedTuple):
+    """Where the value of a field comes from."""
+
+    column: str
+    """Name of the column (or of a blob that is one) with the field; '' = there is none, because the
+    field lies in an array without elements."""
+    gets: Sequence[Get]
+    """Functions to the field's value, one for each level of unnesting: see _gets."""
+
+
 class Extractor:
     """Reads the values of some fields of one message type from stored messages.
 
@@ -85,42 +95,45 @@ class Extractor:
         self._plan = wire_plan(definition)
         self._depth = len(unnested)
         column_names = {column.name for column in self._plan.all_columns}
-        step_counts = [_steps_to_column(ref, column_names) for ref in refs]
-        names = [".".join(s.name for s in ref.steps[:n]) for ref, n in zip(refs, step_counts) if n]
-        self._has_column = [n > 0 for n in step_counts]
-        """For each field whether a column (or a blob that is one) holds it."""
-        gets = [
-            _gets(ref, n, unnested) if n else _empty_gets(definition, ref, unnested)
-            for ref, n in zip(refs, step_counts)
-        ]
-        levels = range(self._depth + 1)
-        self._conversions = [
-            [(n, g[at]) for n, g in enumerate(gets) if at < len(g) and g[at] is not _itself]
-            for at in levels
-        ]
-        """For each level of unnesting the indices of the values to convert, and the conversions."""
-        self._inner = [[n for n, g in enumerate(gets) if len(g) > at] for at in levels[1:]]
-        """For each level the indices of the values that are lists over the elements of its
-        array."""
-        self._read = self._plan.reader(names)
+        self._sources = [_source(definition, ref, unnested, column_names) for ref in refs]
+        # What depends on them alone, for the loops over messages.
+        read_names = [source.column for source in self._sources if source.column]
+        self._read = self._plan.reader(read_names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
-        self._stored = [numbers[name] for name in names if name in numbers]
-        """For each field with a column its index among all columns of the table."""
-        indices = sorted(set(self._stored))
-        self._projected = [indices.index(n) for n in self._stored]
-        """The same among ``columns``."""
         self.columns: list[str] | None = None
-        if len(self._stored) == len(names):
-            self.columns = [self._plan.columns[n].name for n in indices]
-        self._gets = [by_level[0] for by_level in gets]
+        self._places: list[tuple[int, int]] = []
+        """For each field its column among all columns of the table, and among ``columns``; [] if
+        there are no ``columns``."""
+        if numbers.keys() >= set(read_names):
+            self.columns = sorted(set(read_names), key=numbers.__getitem__)
+            self._places = [(numbers[name], self.columns.index(name)) for name in read_names]
+        self._conversions, self._inner = zip(*map(self._level, range(self._depth + 1)))
+
+    def _level(self, level: int) -> tuple[Sequence[tuple[int, Get]], Sequence[int]]:
+        """Return what is done with the values of a level of unnesting.
+
+        Returns:
+            The indices of the values to convert, and the conversions; and the indices of the values
+            that are lists over the elements of the next level.
+        """
+        gets = [(n, source.gets) for n, source in enumerate(self._sources)]
+        conversions = [(n, g[level]) for n, g in gets if level < len(g) and g[level] is not _itself]
+        return conversions, [n for n, g in gets if level + 1 < len(g)]
+
+    @property
+    def _is_whole(self) -> bool:
+        """Whether nothing is unnested, and each field has a column."""
+        return not self._depth and all(source.column for source in self._sources)
 
     @cached_property
     def direct(self) -> list[ColumnField] | None:
         """How each field is read from its column; None if that is impossible."""
-        if self.columns is None or self._depth or not all(self._has_column):
+        if self.columns is None or not self._is_whole:
             return None
-        triples = zip(self._projected, self._stored, self._gets)
-        return [self._direct(place, stored, get) for place, stored, get in triples]
+        return [
+            self._direct(place, stored, source.gets[0])
+            for (stored, place), source in zip(self._places, self._sources)
+        ]
 
     @cached_property
     def whole(self) -> Callable[[bytes], FieldValueList] | None:
@@ -128,7 +141,7 @@ class Extractor:
 
         The function raises CorruptMessage.
         """
-        if self._depth or not all(self._has_column):
+        if not self._is_whole:
             return None
         read, conversions = self._read, self._conversions[0]
         if not conversions:
@@ -155,7 +168,17 @@ class Extractor:
 
         CorruptMessage: malformed row. It is raised by the call, not by the iterator.
         """
-        return self._every(self._columns(row))
+        columns = row.columns
+        if self.columns is not None and columns and row.table.by_field:
+            # Also in a row marked odd, a column that cannot hold its field exactly is unset.
+            is_part = len(columns) == len(self.columns)
+            cells = [columns[place if is_part else stored] for stored, place in self._places]
+            if None not in cells:
+                pairs = zip(self._places, cells)
+                return self._every(
+                    [self._plan.value(n, cell) for (n, _), cell in pairs if cell is not None]
+                )
+        return self.wire_values(row.wire)
 
     def wire_values(self, wire: bytes) -> Iterator[FieldValueList]:
         """Yield the values of a serialised message, once or per unnested element.
@@ -169,25 +192,13 @@ class Extractor:
 
         CorruptMessage: malformed column; raised as by ``values``.
         """
-        places = zip(self._stored, self._projected)
-        return self._every([self._plan.value(n, cells[place]) for n, place in places])
+        return self._every([self._plan.value(n, cells[place]) for n, place in self._places])
 
     def _every(self, column_values: FieldValueList) -> Iterator[FieldValueList]:
         columns = iter(column_values)
         # A field without a column lies in an array without elements.
-        values = [next(columns) if has_column else [] for has_column in self._has_column]
+        values = [next(columns) if source.column else [] for source in self._sources]
         return self._unnest(0, values)
-
-    def _columns(self, row: Row) -> FieldValueList:
-        """Return the values of the columns, from the row's columns if they are set."""
-        columns = row.columns
-        if self.columns is not None and columns and row.table.by_field:
-            # Also in a row marked odd, a column that cannot hold its field exactly is unset.
-            places = self._projected if len(columns) == len(self.columns) else self._stored
-            raw = [columns[n] for n in places]
-            if None not in raw:
-                return [self._plan.value(n, r) for n, r in zip(self._stored, raw) if r is not None]
-        return self._read(row.wire)
 
     def _unnest(self, level: int, values: FieldValueList) -> Iterator[FieldValueList]:
         """Yield the values of the elements inside those of a level; it changes the list."""
@@ -212,14 +223,16 @@ def _count(values: object) -> int:
     return len(values) if isinstance(values, (list, bytes)) else 0
 
 
-def _steps_to_column(ref: FieldRef, column_names: Container[str]) -> int:
-    """Return the number of steps to the column with a field: its own, or a blob that contains it.
-
-    0: there is no such column, because the field is inside an array of fixed length 0.
-    """
+def _source(
+    definition: Definition, ref: FieldRef, unnested: Sequence[Array], column_names: Container[str]
+) -> FieldSource:
+    """Return where a field comes from: its own column, or a blob that contains it."""
     names = [step.name for step in ref.steps]
-    counts = range(1, len(names) + 1)
-    return next((n for n in counts if ".".join(names[:n]) in column_names), 0)
+    for count in range(1, len(names) + 1):
+        column = ".".join(names[:count])
+        if column in column_names:
+            return FieldSource(column, _gets(ref, count, unnested))
+    return FieldSource("", _empty_gets(definition, ref, unnested))
 
 
 def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
