@@ -161,7 +161,7 @@ def test_of_blocks_in_one_pixel_nothing_is_unpacked(stored, monkeypatch):
         return unpack(part, headers)
 
     monkeypatch.setattr(bucket_envelope, "open_blocks", counted)
-    monkeypatch.setattr(PieceReader, "_take_messages", lambda *_: pytest.fail("all are read"))
+    monkeypatch.setattr(PieceReader, "_batches", lambda *_: pytest.fail("all are read"))
     read(stored, "packed", ["d", "i"], window=PlotWindow(pixels=1))
     # Only those of which messages were deleted: their bounds may be too wide.
     assert 1 <= len(opened) <= 4
