@@ -61,7 +61,7 @@ class Row:
     def __init__(self, table, t, node, writer, x, text, state=READABLE, unset=False):
         self.table, self.t, self.key, self.node = table, t, t, node
         self.seq, self.name = writer << 32 | t, f"name {t}" if table.named else ""
-        self.x, self.text, self.state = x, text, state
+        self.x, self.text, self.state, self.size = x, text, state, 5 + len(text)
         self.columns = ()
         if table.by_field:
             self.columns = (bytes([x]), None if unset else text.encode())

@@ -34,7 +34,7 @@ def gathered(definition, names, wires):
     select = parse_select(f"select KEY, {', '.join(names)} from /t", ())
     values = TableValues(select, table, Findings(select.text))
     rows = [
-        SimpleNamespace(t=n, key=n, node="", seq=n, name="", topic="/t", table=table, wire=wire)
+        SimpleNamespace(t=n, key=n, node="", seq=n, name="", table=table, wire=wire, size=len(wire))
         for n, wire in enumerate(wires)
     ]
     for batch in row_batches(rows, lambda _: values.parts):

@@ -227,6 +227,17 @@ class RowReader:
         return None if rows is None else list(self._stored_rows(rows, tables))
 
 
+def _passing(rows: Iterable[StoredRow], check: CheckOf) -> Iterator[StoredRow]:
+    """Yield the rows that satisfy a condition."""
+    table: TopicTable | None = None
+    for row in rows:
+        if row.table is not table:
+            table = row.table
+            hit = check(table).hit
+        if hit(row):
+            yield row
+
+
 def _inside(position: Position, read: Read) -> bool:
     """Return whether a row is in the time range of a read, and after its cursor."""
     low, high = read.time_range
@@ -371,9 +382,7 @@ class FollowingReader:
             return check(table).columns if needed is not None and not needed else None
 
         rows = self.read(tables, replace(read, columns=columns))
-        if check is not None:
-            rows = (row for row in rows if check(row.table).hit(row))
-        return row_batches(rows, parts)
+        return row_batches(rows if check is None else _passing(rows, check), parts)
 
     def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times."""

@@ -12,13 +12,16 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
+from contextlib import suppress
+from itertools import groupby
+from operator import attrgetter
 from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
-from cassandra_ros.keys import writer_of
+from cassandra_ros.keys import COUNTER_BITS
 from cassandra_ros.messages.wire.message_stacks import (
     ByteArray,
     Int64Array,
@@ -32,13 +35,19 @@ from cassandra_ros.query.rows.projection import Projection, RowIdentity
 
 _log = logging.getLogger(__name__)
 
-ROW_BATCH_MESSAGES = 4096
-"""Maximum number of messages in a batch of rows."""
+ROW_BATCH_MESSAGES = 512
+"""Maximum number of messages in a batch of rows; few, because Python's collector walks through all
+rows that exist at the same time."""
 ROW_BATCH_BYTES = 8 * 1024 * 1024
 """Size of what is read of the rows from which a batch of them ends, bytes."""
 
 SizeGroups = Iterable[Tuple[Int64Array, Planes]]
 """Pairs of message indices, ascending, and message planes; one pair for each message size."""
+LARGE_BYTES = 256 * 1024
+"""Size from which a message is read when its row comes, so that those of the next rows are
+requested meanwhile."""
+_get_time, _get_seq, _get_node = attrgetter("t"), attrgetter("seq"), attrgetter("node")
+
 Cells = Optional[Sequence[bytes]]
 """Some columns of a message, in CQL's encoding; None = the message is unreadable."""
 
@@ -183,29 +192,31 @@ class RowBatch(Batch):
     """Messages of rows, in the order of the read.
 
     Args:
-        keys: For each message time, nodeID, ``_seq`` and name.
-        parts: What was read of them.
-        read_cells: What was read of each message.
+        rows: The rows, at least one. They are not kept, because they hold whole messages.
+        wires: Their messages, see ``wires``; None = they were not read.
+        cells: Their columns; None = they were not read.
     """
 
     def __init__(
         self,
-        table: Table,
-        keys: Sequence[tuple[int, str, int, str]],
-        parts: RowParts,
-        read_cells: Sequence[Cells],
+        rows: Sequence[Row],
+        wires: Sequence[bytes | None] | None,
+        cells: Sequence[Cells] | None,
     ) -> None:
-        times, nodes, seqs, names = zip(*keys)
-        owners = _owners(nodes, [writer_of(seq) for seq in seqs])
-        super().__init__(table, np.array(times, np.int64), np.array(seqs, np.int64), owners)
+        table, count = rows[0].table, len(rows)
+        seqs = np.fromiter(map(_get_seq, rows), np.int64, count)
+        times = np.fromiter(map(_get_time, rows), np.int64, count)
+        super().__init__(table, times, seqs, _owners(list(map(_get_node, rows)), seqs))
         if table.named:
-            self.names = names
-        self._parts, self._cells = parts, read_cells
+            self.names = [row.name for row in rows]
+        self._wires, self._cells = wires, cells
 
     @property
     def size(self) -> int:
         """Number of bytes of what was read of the messages."""
-        return sum(_size_of(cells) for cells in self._cells)
+        if self._cells is not None:
+            return sum([sum(map(len, cells)) for cells in self._cells if cells is not None])
+        return sum([len(wire) for wire in self._wires or () if wire is not None])
 
     @property
     def groups(self) -> SizeGroups:
@@ -215,23 +226,20 @@ class RowBatch(Batch):
     @property
     def wires(self) -> Sequence[bytes | None]:
         """The messages one by one; None = it is unreadable, or was not read."""
-        if self._parts.columns is not None:
-            return [None] * len(self)
-        return [None if cells is None else cells[0] for cells in self._cells]
+        return [None] * len(self) if self._wires is None else self._wires
 
     def cells(self, parts: RowParts) -> Sequence[Cells]:
         """Return some columns of each message; ``parts`` names them."""
-        return super().cells(parts) if self._parts.columns is None else self._cells
+        return super().cells(parts) if self._cells is None else self._cells
 
 
-def _owners(nodes: Sequence[str], writers: Sequence[int]) -> Sequence[Owner]:
-    """Return the owners of messages, from the robot and the writer of each."""
-    if len(set(nodes)) == len(set(writers)) == 1:
-        return (Owner(nodes[0], writers[0], len(nodes)),)
-    pairs = list(zip(nodes, writers))
-    begins = [n for n, pair in enumerate(pairs) if not n or pair != pairs[n - 1]]
-    ends = [*begins[1:], len(pairs)]
-    return [Owner(*pairs[begin], end - begin) for begin, end in zip(begins, ends)]
+def _owners(nodes: Sequence[str], seqs: Int64Array) -> Sequence[Owner]:
+    """Return the owners of messages, from the nodeID and the ``_seq`` of each."""
+    writers = seqs >> COUNTER_BITS
+    if len(set(nodes)) == 1 and (writers == writers[0]).all():
+        return (Owner(nodes[0], int(writers[0]), len(nodes)),)
+    owned = groupby(zip(nodes, writers.tolist()))
+    return [Owner(node, writer, len(list(pairs))) for (node, writer), pairs in owned]
 
 
 class RowParts:
@@ -255,28 +263,61 @@ class RowParts:
         self._width = len(table.columns)
         self._places = [table.columns.index(name) for name in columns or ()]
 
-    def of(self, row: Row) -> Cells:
-        """Return what is read of a row: the columns, or the message alone.
-
-        Raises:
-            MessageNotFound: The message was deleted after the row was read.
-        """
+    def read(self, rows: Sequence[Row]) -> RowBatch | None:
+        """Read rows of the table; None = the messages of all of them were deleted meanwhile."""
+        if self.columns is not None and not self.columns:
+            return RowBatch(rows, None, [()] * len(rows))
         try:
             if self.columns is None:
-                return (row.wire,)
-            if not self.columns:
-                return ()
-            columns: Sequence[bytes | None] = row.columns
-            # A row has all columns or those that were requested; else its bytes are cut.
-            if len(columns) == self._width:
-                columns = [columns[n] for n in self._places]
+                return RowBatch(rows, [row.wire for row in rows], None)
+            return RowBatch(rows, None, self._cells_of(rows))
+        except (CorruptMessage, MessageNotFound):
+            return self._read_singly(rows)
+
+    def read_ahead(self, row: Row) -> None:
+        """Read what is needed of a large row: it keeps it until ``read``, which tells errors."""
+        with suppress(CorruptMessage, MessageNotFound):
+            if self.columns is None:
+                _ = row.wire
+            elif self.columns:
+                self._cells_of([row])
+
+    def _cells_of(self, rows: Sequence[Row]) -> Sequence[Cells]:
+        """Return the columns of rows; errors as in ``Row.wire``."""
+        cells: list[Sequence[bytes | None]] = [row.columns for row in rows]
+        # A row has all columns or those that were requested, and all rows have the same.
+        if len(cells[0]) == self._width:
+            places = self._places
+            cells = [[columns[n] for n in places] for columns in cells]
+        width = len(self._places)
+        return [
             # In a row marked odd, a column that is set is exact.
-            if len(columns) == len(self.columns) and None not in columns:
-                return columns  # type: ignore[return-value]  # no column is None
-            return self.cut(row.wire, row.t)
-        except CorruptMessage as exc:
-            _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+            columns if len(columns) == width and None not in columns else self.cut(row.wire, row.t)  # type: ignore[misc]
+            for columns, row in zip(cells, rows)
+        ]
+
+    def _read_singly(self, rows: Sequence[Row]) -> RowBatch | None:
+        """Read rows of which some messages cannot be read, or were deleted."""
+        kept: list[Row] = []
+        wires: list[bytes | None] = []
+        cells: list[Cells] = []
+        for row in rows:
+            try:
+                if self.columns is None:
+                    wires.append(row.wire)
+                else:
+                    cells += self._cells_of([row])
+            except MessageNotFound:
+                continue
+            except CorruptMessage as exc:
+                _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+                wires.append(None)
+                cells.append(None)
+            kept.append(row)
+        if not kept:
             return None
+        whole = self.columns is None
+        return RowBatch(kept, wires if whole else None, None if whole else cells)
 
     def cut(self, wire: bytes | None, t: int) -> Cells:
         """Return the columns of a message.
@@ -314,53 +355,37 @@ def row_batches(rows: Iterable[Row], parts_of: PartsOf) -> Iterator[Batch]:
 
     The batches of a table are in the order of the rows.
     """
-    open_batches: dict[str, _OpenBatch] = {}
+    waiting: dict[str, _WaitingRows] = {}
+    table: Table | None = None
     for row in rows:
-        name = row.table.name
-        if name not in open_batches:
-            open_batches[name] = _OpenBatch(row.table, parts_of(row.table))
-        batch = open_batches[name]
-        try:
-            batch.add(row)
-        except MessageNotFound:
-            continue
-        if batch.is_full:
-            yield batch.closed()
-            del open_batches[name]
-    for batch in open_batches.values():
-        if batch.keys:
-            yield batch.closed()
+        if row.table is not table:
+            table = row.table
+            own = waiting.setdefault(table.name, _WaitingRows(parts_of(table)))
+        own.rows.append(row)
+        own.size += row.size
+        if row.size >= LARGE_BYTES:
+            own.parts.read_ahead(row)
+        if len(own.rows) >= ROW_BATCH_MESSAGES or own.size >= ROW_BATCH_BYTES:
+            yield from own.take()
+    for own in waiting.values():
+        yield from own.take()
 
 
-class _OpenBatch:
-    """The batch of a table to which rows are being added."""
+class _WaitingRows:
+    """Rows of a table that become a batch together."""
 
-    def __init__(self, table: Table, parts: RowParts) -> None:
-        self._table, self._parts = table, parts
-        self.keys: list[tuple[int, str, int, str]] = []
-        self._cells: list[Cells] = []
-        self._size = 0
+    def __init__(self, parts: RowParts) -> None:
+        self.parts = parts
+        self.rows: list[Row] = []
+        self.size = 0
+        """Size of their messages, bytes."""
 
-    def add(self, row: Row) -> None:
-        """Add a row; raises MessageNotFound if its message was deleted."""
-        cells = self._parts.of(row)
-        # The rows themselves are not kept: they hold the bytes of whole messages.
-        self.keys.append((row.t, row.node, row.seq, row.name))
-        self._cells.append(cells)
-        self._size += _size_of(cells)
-
-    @property
-    def is_full(self) -> bool:
-        """Whether it has as many messages or bytes as a batch may have."""
-        return len(self.keys) >= ROW_BATCH_MESSAGES or self._size >= ROW_BATCH_BYTES
-
-    def closed(self) -> RowBatch:
-        """Return the batch of the rows that were added."""
-        return RowBatch(self._table, self.keys, self._parts, self._cells)
-
-
-def _size_of(cells: Cells) -> int:
-    return 0 if cells is None else sum(map(len, cells))
+    def take(self) -> Iterator[Batch]:
+        """Yield the batch of the rows, if a message of them is left, and forget them."""
+        rows, self.rows, self.size = self.rows, [], 0
+        batch = self.parts.read(rows) if rows else None
+        if batch is not None:
+            yield batch
 
 
 def choose_groups(
