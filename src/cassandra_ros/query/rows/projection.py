@@ -69,7 +69,7 @@ class ColumnField(NamedTuple):
 
 
 class FieldSource(NamedTuple):
-    """Where the value of a field comes from."""
+    """The source of the values of a field."""
 
     column: str
     """Name of the column (or of a blob that is one) with the field; '' = there is none, because the
