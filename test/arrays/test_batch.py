@@ -109,7 +109,7 @@ def test_batches_of_rows_hold_their_messages(rows, size, named, by_field):
         expected = [row for row in own if row not in read or row.state != DELETED]
         lost = [row for row in read if row.state == CORRUPT]
         mine = [each for each in batches if each.table is table]
-        identities = [i for each in mine for i in each.identities(named=named, runs=True)]
+        identities = [i for each in mine for i in each.identities(runs=True)]
         assert identities == [
             (row.name if named else row.t, row.node, f"run {row.seq >> 32}", row.t)
             for row in expected

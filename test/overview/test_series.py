@@ -383,3 +383,19 @@ def test_a_large_message_is_drawn_by_its_bounds(rosCas):
     assert not rosCas.statements.series("select data from large").columns
     length = rosCas.statements.series("select len(data) as n from large")
     assert length.points.low.tolist() == [[600_000.0]]
+
+
+@pytest.mark.parametrize("fmt", ["packed", "ros"])
+def test_a_condition_may_name_a_field_of_one_of_two_definitions(rosCas, fmt):
+    """Messages that lack it never match, and are no error."""
+    texts = ["float64 x", "float64 x\nint8 b"]
+    with rosCas.messageWriter(format=fmt) as writer:
+        for number, text in enumerate(texts):
+            definition = parse_definition(f"test/Definition{number}", text, None)
+            handle = writer.connect(api_connection("/two", definition, "/x"))
+            for n in range(20):
+                wire = struct.pack("<d", 10 * number + n) + bytes([n])[:number]
+                writer.write(handle, T0 + n * SEC + number, n, wire)
+    found = rosCas.statements.series("select x from /two where b > 4", window=PlotWindow(pixels=1))
+    (pixel,) = shown(found).values()
+    assert pixel[1:] == (15, [(15.0, 29.0)])

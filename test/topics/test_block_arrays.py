@@ -82,6 +82,13 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
             assert np.array_equal(found[name][~mask], wanted[name][~mask])
 
 
+def test_keys_alone_need_no_large_message(rosCas, monkeypatch):
+    topic = fill(rosCas)
+    monkeypatch.setattr(StoredRow, "wire", property(lambda row: pytest.fail("it is read")))
+    assert len(topic.getArrays(["KEY", "NODE", "RUN"])["KEY"]) == 690
+    assert topic.toArrow(["KEY"]).read_all().num_rows == 690
+
+
 @pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_large_messages_that_were_turned_into_arrays_are_let_go(rosCas, monkeypatch):
     definition = definition_of(Header)

@@ -103,6 +103,9 @@ def test_messages_with_names_have_these_as_keys(rosCas):
     topic.addData(String("x"), key="kitchen")
     table = topic.toArrow().read_all()
     assert table["KEY"].to_pylist() == ["kitchen"]
+    for name, count in [("kitchen", 1), ("cellar", 0), ("\ud800", 0), ("x" * 100_000, 0)]:
+        assert topic.toArrow(where=("KEY = ?", [name])).read_all().num_rows == count
+        assert len(topic.getArrays("data", where=("KEY = ?", [name]))["data"]) == count
 
 
 def test_a_topic_without_a_type_has_no_rows(rosCas):

@@ -107,6 +107,11 @@ class Finder:
             return row_batches(self._rows(read), parts)
 
         def read_batches(read: Read, check: CheckOf | None = None) -> Iterator[Batch]:
+            if isinstance(read.only, Named):  # a condition on KEY names the messages
+                try:
+                    check_message_name(self.topic, read.only.name)
+                except InvalidKey:
+                    return iter(())  # no message has an invalid name
             return self.keyspace.rows.batches(self.tables, read, parts, check)
 
         return read_batches(read) if self.where is None else self.where.batches(read, read_batches)

@@ -5,7 +5,8 @@
 ``RowReader`` reads the rows of given tables. A read goes on while a table is replaced by another
 one, because its topic is converted (``FollowingReader``, ``followed``). The old table is dropped
 some seconds after the new one became visible. A reader of the old table then gets an error, and
-goes on in the new table after the last row that it yielded: rows have the same positions there.
+goes on in the new table after the last row that it yielded: rows have the same positions there. A
+read of whole blocks ends with ``TableReplaced``.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound, To
 from cassandra_ros.keys import Position, RowName, is_after, writer_of
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.messages.wire.message_stacks import as_planes, planes_of
+from cassandra_ros.messages.wire.message_stacks import Int64Array, Planes, as_planes, planes_of
 from cassandra_ros.query.arrays.batch import (
     Batch,
     BlockBatch,
@@ -84,7 +85,9 @@ class RowReader:
         named = self._by_name([t for t in tables if t.named], read)
         return heapq.merge(rows, named, key=lambda row: row.position, reverse=read.reverse)
 
-    def blocks(self, tables: Sequence[TopicTable], read: Read) -> Iterator[BlockBatch]:
+    def blocks(
+        self, tables: Sequence[TopicTable], read: Read, *, only_keys: bool
+    ) -> Iterator[BlockBatch]:
         """Yield the messages of a read as they lie in blocks, in any order.
 
         Only time range, nodes, writers and chooser of the read count.
@@ -92,8 +95,10 @@ class RowReader:
         Args:
             tables: Tables of format ``packed``.
             read: What is read.
+            only_keys: Whether large messages are not read, because only the keys are needed.
         """
-        return block_batches(read_blocks(self._directory, tables, read), tables)
+        blocks = read_blocks(self._directory, tables, read)
+        return block_batches(blocks, tables, only_keys=only_keys)
 
     def _stored_rows(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
@@ -347,19 +352,20 @@ class FollowingReader:
         Args:
             tables: The tables that are read.
             read: What is read. Its ``columns`` do not count.
-            parts: What of the messages is needed.
+            parts: What is read of the rows of a table.
             check: The check of the condition; None = all messages satisfy it.
 
         Raises:
-            TableReplaced: A packed table was replaced meanwhile. It is raised after the batches of
-                the table at the latest: the read does not go on in the new table.
+            TableReplaced: A packed table was replaced meanwhile, or the topic got a new one. It is
+                raised after the last batch at the latest: the read does not go on in the new table.
         """
         tables = current(tables)
         if not in_blocks(tables, read):
             yield from self._row_batches(tables, read, parts, check)
             return
         try:
-            for batch in self._rows.blocks(tables, read):
+            only_keys = check is None and all(parts(table).only_keys for table in tables)
+            for batch in self._rows.blocks(tables, read, only_keys=only_keys):
                 passing = batch if check is None else batch.passing(check(batch.table))
                 if len(passing):
                     yield passing
@@ -367,7 +373,7 @@ class FollowingReader:
                 return
         except TopicNotFound as exc:
             _present_tables(tables, exc)
-        raise TableReplaced("a table was replaced while it was read")
+        raise TableReplaced("a table was replaced, or made, while the topic was read")
 
     def _row_batches(
         self, tables: Tables, read: Read, parts: PartsOf, check: CheckOf | None
@@ -375,11 +381,11 @@ class FollowingReader:
         """Yield the rows of a read as batches; the arguments are those of ``batches``."""
 
         def columns(table: Table) -> Sequence[str] | None:
-            needed = parts(table).columns
             if check is None:
-                return needed
-            # The check finds its columns in a row that has these alone, or all of them.
-            return check(table).columns if needed is not None and not needed else None
+                return parts(table).columns
+            # The check finds its columns in a row that has these alone, or all of them. So whole
+            # rows are read if more than the keys is needed.
+            return check(table).columns if parts(table).only_keys else None
 
         rows = self.read(tables, replace(read, columns=columns))
         return row_batches(rows if check is None else _passing(rows, check), parts)
@@ -417,7 +423,10 @@ class FollowingReader:
 
 
 class TableReplaced(TopicNotFound):
-    """A table was replaced while its batches were read: they have to be read again."""
+    """A table was replaced, or the topic got a new one, while blocks were read.
+
+    They have to be read again.
+    """
 
 
 def until_whole(work: Callable[[], _T]) -> _T:
@@ -436,9 +445,15 @@ _log = logging.getLogger(__name__)
 
 
 def block_batches(
-    blocks: Iterable[tuple[BucketRead, OpenedBlock]], tables: Sequence[TopicTable]
+    blocks: Iterable[tuple[BucketRead, OpenedBlock]],
+    tables: Sequence[TopicTable],
+    *,
+    only_keys: bool = False,
 ) -> Iterator[BlockBatch]:
-    """Yield the messages to read of blocks; large messages, each a batch of one, come last."""
+    """Yield the messages to read of blocks; large messages, each a batch of one, come last.
+
+    If only keys are needed, large messages are not read.
+    """
     by_name = {table.name: table for table in tables}
     large: deque[StoredRow] = deque()
     for bucket, opened in blocks:
@@ -456,17 +471,21 @@ def block_batches(
         yield BlockBatch(table, bucket.node, row.writer, times, seqs, groups, unsure)
     # Rows are dropped one by one, because each keeps the bytes that were read of it.
     rows = (large.popleft() for _ in range(len(large)))
-    yield from filter(None, map(_alone, chunks_ahead(rows)))
+    if only_keys:
+        yield from (_alone(row, ()) for row in rows)
+        return
+    for stored in chunks_ahead(rows):
+        try:
+            groups = [(np.zeros(1, np.int64), as_planes([stored.wire]))]
+        except MessageNotFound:
+            continue
+        except CorruptMessage as exc:
+            _log.warning("message %s of topic %s cannot be read: %s", stored.key, stored.topic, exc)
+            groups = []
+        yield _alone(stored, groups)
 
 
-def _alone(row: StoredRow) -> BlockBatch | None:
-    """Return a batch of one message; None if the message was deleted meanwhile."""
-    groups = []
-    try:
-        groups.append((np.zeros(1, np.int64), as_planes([row.wire])))
-    except MessageNotFound:
-        return None
-    except CorruptMessage as exc:
-        _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+def _alone(row: StoredRow, groups: Sequence[tuple[Int64Array, Planes]]) -> BlockBatch:
+    """Return a batch of one message; ``groups``: the message, or nothing."""
     times, seqs = np.array([row.t], np.int64), np.array([row.seq], np.int64)
     return BlockBatch(row.table, row.node, writer_of(row.seq), times, seqs, groups)

@@ -88,6 +88,7 @@ class ArrowSchema:
         fields = list(unite_schemas(self.arrow, schemas)) if schemas else []
         self.own = [field.name for field in own_fields]
         self.schema = self.arrow.schema([*own_fields, *fields])
+        self._parts: dict[str, RowParts] = {}
         self._row_columns: dict[str, RowColumns | None] = {}
         self._reads_few: dict[str, bool] = {}
         if names is not None:
@@ -108,10 +109,11 @@ class ArrowSchema:
 
     def parts(self, table: Table) -> RowParts:
         """Return what is read of a table's rows."""
-        if not self.of_table(table):
-            return RowParts(table, ())
-        reader = self.row_columns(table)
-        return RowParts(table, None if reader is None else reader.names)
+        if table.name not in self._parts:
+            reader = self.row_columns(table)
+            columns = None if reader is None else reader.names
+            self._parts[table.name] = RowParts(table, columns if self.of_table(table) else ())
+        return self._parts[table.name]
 
     def reads_few(self, table: Table) -> bool:
         """Return whether few of the fields of a table's messages are read."""
@@ -213,13 +215,15 @@ def read_record_batches(
     try:
         for batch in read(schema.parts):
             watch()
-            another = waiting and batch.table.name != waiting[0].table.name
-            if another or count >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
+            if waiting and batch.table.name != waiting[0].table.name:
                 yield maker.make(waiting)
                 waiting, count, size = [], 0, 0
             waiting.append(batch)
             count += len(batch)
             size += batch.size
+            if count >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
+                yield maker.make(waiting)
+                waiting, count, size = [], 0, 0
     except TopicNotFound as exc:
         raise StoreUnavailable(
             f"topic {topic} was converted or removed while it was read: ask again"

@@ -39,7 +39,7 @@ ROW_BATCH_MESSAGES = 512
 """Maximum number of messages in a batch of rows; few, because Python's collector walks through all
 rows that exist at the same time."""
 ROW_BATCH_BYTES = 8 * 1024 * 1024
-"""Size of what is read of the rows from which a batch of them ends, bytes."""
+"""Size of the messages of rows from which a batch of them ends, bytes, whatever is read of them."""
 
 SizeGroups = Iterable[Tuple[Int64Array, Planes]]
 """Pairs of message indices, ascending, and message planes; one pair for each message size."""
@@ -49,7 +49,8 @@ requested meanwhile."""
 _get_time, _get_seq, _get_node = attrgetter("t"), attrgetter("seq"), attrgetter("node")
 
 Cells = Optional[Sequence[bytes]]
-"""Some columns of a message, in CQL's encoding; None = the message is unreadable."""
+"""Some columns of a message, in CQL's encoding; None = the message is unreadable, or no column is
+named."""
 
 
 class Owner(NamedTuple):
@@ -102,19 +103,21 @@ class Batch(ABC):
         """The messages one by one; None = it is unreadable, or was not read."""
 
     def cells(self, parts: RowParts) -> Sequence[Cells]:
-        """Return some columns of each message; ``parts`` names them."""
-        identities = self.identities()
-        return [parts.cut(wire, next(identities)[3]) for wire in self.wires]
+        """Return some columns of each message.
 
-    def identities(self, *, named: bool = False, runs: bool = False) -> Iterator[RowIdentity]:
+        Args:
+            parts: Names the columns. Of rows of which columns were read, it is what was asked for.
+        """
+        return [parts.cut(wire, t) for wire, t in zip(self.wires, self.times.tolist())]
+
+    def identities(self, *, runs: bool = False) -> Iterator[RowIdentity]:
         """Yield what a condition knows of each message besides its fields.
 
         Args:
-            named: Whether KEY is a name.
-            runs: Whether RUN is needed.
+            runs: Whether RUN is needed; else it is ''.
         """
         times = self.times.tolist()
-        keys: Sequence[int | str] = self.names if named else times
+        keys: Sequence[int | str] = self.names or times
         begin = 0
         for node, writer, messages in self.owners:
             run = self.table.runs.text(writer) if runs else ""
@@ -229,7 +232,7 @@ class RowBatch(Batch):
         return [None] * len(self) if self._wires is None else self._wires
 
     def cells(self, parts: RowParts) -> Sequence[Cells]:
-        """Return some columns of each message; ``parts`` names them."""
+        """Return some columns of each message, see Batch."""
         return super().cells(parts) if self._cells is None else self._cells
 
 
@@ -243,11 +246,11 @@ def _owners(nodes: Sequence[str], seqs: Int64Array) -> Sequence[Owner]:
 
 
 class RowParts:
-    """What is read of the rows of a table: some columns, or the messages.
+    """What is read of the rows of a table: only keys, some columns, or the messages.
 
     Args:
         table: The table.
-        columns: Names of the columns, in the table's order; None = the messages.
+        columns: Names of the columns, in the table's order; () = only keys; None = the messages.
         fields: Names of the columns that ``cut`` returns; None = ``columns``.
     """
 
@@ -263,41 +266,18 @@ class RowParts:
         self._width = len(table.columns)
         self._places = [table.columns.index(name) for name in columns or ()]
 
+    @property
+    def only_keys(self) -> bool:
+        """Whether neither columns nor messages are read."""
+        return self.columns is not None and not self.columns
+
     def read(self, rows: Sequence[Row]) -> RowBatch | None:
-        """Read rows of the table; None = the messages of all of them were deleted meanwhile."""
-        if self.columns is not None and not self.columns:
+        """Read rows of the table; None = the messages of all of them were deleted meanwhile.
+
+        If only keys are read, it is not noticed that a message was deleted.
+        """
+        if self.only_keys:
             return RowBatch(rows, None, [()] * len(rows))
-        try:
-            if self.columns is None:
-                return RowBatch(rows, [row.wire for row in rows], None)
-            return RowBatch(rows, None, self._cells_of(rows))
-        except (CorruptMessage, MessageNotFound):
-            return self._read_singly(rows)
-
-    def read_ahead(self, row: Row) -> None:
-        """Read what is needed of a large row: it keeps it until ``read``, which tells errors."""
-        with suppress(CorruptMessage, MessageNotFound):
-            if self.columns is None:
-                _ = row.wire
-            elif self.columns:
-                self._cells_of([row])
-
-    def _cells_of(self, rows: Sequence[Row]) -> Sequence[Cells]:
-        """Return the columns of rows; errors as in ``Row.wire``."""
-        cells: list[Sequence[bytes | None]] = [row.columns for row in rows]
-        # A row has all columns or those that were requested, and all rows have the same.
-        if len(cells[0]) == self._width:
-            places = self._places
-            cells = [[columns[n] for n in places] for columns in cells]
-        width = len(self._places)
-        return [
-            # In a row marked odd, a column that is set is exact.
-            columns if len(columns) == width and None not in columns else self.cut(row.wire, row.t)  # type: ignore[misc]
-            for columns, row in zip(cells, rows)
-        ]
-
-    def _read_singly(self, rows: Sequence[Row]) -> RowBatch | None:
-        """Read rows of which some messages cannot be read, or were deleted."""
         kept: list[Row] = []
         wires: list[bytes | None] = []
         cells: list[Cells] = []
@@ -306,7 +286,8 @@ class RowParts:
                 if self.columns is None:
                     wires.append(row.wire)
                 else:
-                    cells += self._cells_of([row])
+                    columns = self._columns_in(row)
+                    cells.append(self.cut(row.wire, row.t) if columns is None else columns)
             except MessageNotFound:
                 continue
             except CorruptMessage as exc:
@@ -319,8 +300,25 @@ class RowParts:
         whole = self.columns is None
         return RowBatch(kept, wires if whole else None, None if whole else cells)
 
+    def read_ahead(self, row: Row) -> None:
+        """Read the message of a large row if it is needed. The row keeps it until ``read``."""
+        if self.columns is None or (self.columns and self._columns_in(row) is None):
+            with suppress(CorruptMessage, MessageNotFound):  # ``read`` tells of it
+                _ = row.wire
+
+    def _columns_in(self, row: Row) -> Sequence[bytes] | None:
+        """Return the columns of a row; None = they have to be cut out of its message."""
+        columns: Sequence[bytes | None] = row.columns
+        # A row has all columns, those that were requested, or its message in their place.
+        if len(columns) == self._width:
+            columns = [columns[n] for n in self._places]
+        # In a row marked odd, a column that is set is exact.
+        if len(columns) != len(self._places) or None in columns:
+            return None
+        return columns  # type: ignore[return-value]  # no column is None
+
     def cut(self, wire: bytes | None, t: int) -> Cells:
-        """Return the columns of a message.
+        """Return the columns of a message; None: it is unreadable, or no column is named.
 
         Args:
             wire: The message.
@@ -353,22 +351,25 @@ def only_keys(table: Table) -> RowParts:
 def row_batches(rows: Iterable[Row], parts_of: PartsOf) -> Iterator[Batch]:
     """Yield rows as batches, without messages that were deleted meanwhile.
 
-    The batches of a table are in the order of the rows.
+    The batches of a table are in the order of the rows; those of a table with few rows may come
+    last.
     """
     waiting: dict[str, _WaitingRows] = {}
     table: Table | None = None
     for row in rows:
         if row.table is not table:
             table = row.table
-            own = waiting.setdefault(table.name, _WaitingRows(parts_of(table)))
+            if table.name not in waiting:
+                waiting[table.name] = _WaitingRows(parts_of(table))
+            own = waiting[table.name]
         own.rows.append(row)
         own.size += row.size
         if row.size >= LARGE_BYTES:
             own.parts.read_ahead(row)
         if len(own.rows) >= ROW_BATCH_MESSAGES or own.size >= ROW_BATCH_BYTES:
-            yield from own.take()
+            yield from filter(None, [own.take()])
     for own in waiting.values():
-        yield from own.take()
+        yield from filter(None, [own.take()])
 
 
 class _WaitingRows:
@@ -380,12 +381,10 @@ class _WaitingRows:
         self.size = 0
         """Size of their messages, bytes."""
 
-    def take(self) -> Iterator[Batch]:
-        """Yield the batch of the rows, if a message of them is left, and forget them."""
+    def take(self) -> Batch | None:
+        """Return the batch of the rows, and forget them; None = no message is left."""
         rows, self.rows, self.size = self.rows, [], 0
-        batch = self.parts.read(rows) if rows else None
-        if batch is not None:
-            yield batch
+        return self.parts.read(rows) if rows else None
 
 
 def choose_groups(

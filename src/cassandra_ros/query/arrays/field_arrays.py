@@ -152,7 +152,7 @@ def _statement(
 
 
 def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
-    """Return the gathered fields of all tables, in the order of the rows or blocks."""
+    """Return the gathered fields of all tables, in the order of time, node, _seq and table."""
     if not tables:  # the topic has no message type yet
         columns = select.columns or (Selected(KeyOperand(0)),)
         kinds = {c.text: "time" if isinstance(c.what, KeyOperand) else MIXED for c in columns}

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from itertools import groupby
+from operator import itemgetter
 from typing import Iterator, Mapping, NamedTuple, Sequence
 
 import numpy as np
@@ -48,7 +50,7 @@ CONVERTED_BYTES = 2 * 1024 * 1024
 """Size of the messages from which they are converted, bytes."""
 
 
-class Source(NamedTuple):
+class ColumnSource(NamedTuple):
     """The column that holds a field, and how its values are converted."""
 
     name: str
@@ -113,7 +115,7 @@ class TableValues:
         self._in_columns = table.by_field and names.keys() <= set(table.columns)
         """Whether the table has a column for each field."""
         self._names = [n for n in table.columns if n in names] if self._in_columns else list(names)
-        """Names of the columns that are read, or cut out of the messages."""
+        """Names of the columns that are read, or cut out of the messages, if ``_by_column``."""
         self.parts = self._parts()
         self.renew()
 
@@ -146,14 +148,14 @@ class TableValues:
 
     def _source(
         self, ref: FieldRef, kind: ArrayType, columns: Mapping[str, FieldColumn]
-    ) -> Source | None:
+    ) -> ColumnSource | None:
         """Return the source of a field's values; None: it must be decoded value by value."""
         column = columns.get(ref.column)
         inside = column is not None and column.array in self._arrays
         convert = None if column is None else compile_convert(ref, column, kind, inside)
         if column is None or convert is None:
             return None
-        return Source(column.name, convert, inside)
+        return ColumnSource(column.name, convert, inside)
 
     def _parts(self) -> RowParts:
         """Return what has to be read of a row."""
@@ -239,7 +241,7 @@ class TableValues:
     def _rows_of(self, batch: Batch) -> Iterator[Sequence[RowValues]]:
         """Yield for each message the values of its rows."""
         projection = self._projection
-        identities = batch.identities(named=projection.named, runs=projection.runs)
+        identities = batch.identities(runs=projection.runs)
         if self.parts.columns is None:
             values = map(projection.wire_values, identities, batch.wires)
         else:
@@ -253,7 +255,9 @@ class TableValues:
 
     def _column_by_column(self) -> list[ColumnArray]:
         """Convert columns; values outside an unnested array repeat for its elements."""
-        cells = [cells for batch in self._batches for cells in batch.cells(self.parts)]
+        # Without fields a block need not be cut into messages.
+        batches = self._batches if self._names else ()
+        cells = [cells for batch in batches for cells in batch.cells(self.parts)]
         columns = self._columns_of(cells)
         inside = next((s.name for s in self._sources if s is not None and s.inside), None)
         counts = None if inside is None else count_elements(columns[inside])
@@ -295,7 +299,8 @@ class TableValues:
         if counts is not None:
             ends = np.concatenate([[0], np.cumsum(counts)])[ends]
         numbers = np.diff(ends, prepend=0).tolist()
-        nodes = list(zip([owner.node for owner in owners], numbers))
+        pairs = groupby(zip([owner.node for owner in owners], numbers), key=itemgetter(0))
+        nodes = [(node, sum(count for _, count in same)) for node, same in pairs]
         self._keys.append(RowKeys(_repeat(self._times, counts), _repeat(seqs, counts), nodes))
         self.count += sum(numbers)
 

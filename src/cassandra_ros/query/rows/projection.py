@@ -72,8 +72,8 @@ class FieldSource(NamedTuple):
     """The source of the values of a field."""
 
     column: str
-    """Name of the column (or of a blob that is one) with the field; '' = there is none, because the
-    field lies in an array without elements."""
+    """Name of the column (or of a blob that is one) with the field; '' = no column holds it,
+    because it lies in an array without elements."""
     gets: Sequence[Get]
     """Functions to the field's value, one for each level of unnesting: see _gets."""
 

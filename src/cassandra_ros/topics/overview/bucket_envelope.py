@@ -24,7 +24,7 @@ from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.query.plan.bounds import Bounds
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch
 from cassandra_ros.query.rows.name_resolution import Findings
-from cassandra_ros.query.rows.projection import Projection, Projections
+from cassandra_ros.query.rows.projection import Projection
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.syntax import FieldPath, KeyOperand, Select, Selected, StatementError
 from cassandra_ros.read import Read, TimeRange, Whose
@@ -243,8 +243,6 @@ class PieceReader:
         values, count = self._values(piece.table), 0
         for batch in self._batches(piece, values):
             self._watch()
-            if batch.table.name != piece.table.name:
-                raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
             values.add(batch)
             count += len(batch)
             if count >= MOST_MESSAGES:
@@ -265,9 +263,13 @@ class PieceReader:
         if not bounds.whole:
             read = replace(read, chooser=Pushdown(self._select.condition, watch=self._watch))
             no_columns = replace(self._select, columns=())
-            check = Projections(no_columns, [table]).of
+            test = Projection.compile(no_columns, table, Findings(self._select.text))
+            check = lambda _: test  # noqa: E731
         for part in replace(bounds, read=read).reads():
-            yield from self._rows.batches([table], part, lambda _: values.parts, check)
+            for batch in self._rows.batches([table], part, lambda _: values.parts, check):
+                if batch.table.name != table.name:
+                    raise TopicNotFound(f"table {table.name} was replaced while it was read")
+                yield batch
 
 
 def _plain_field(column: Column, table: TopicTable) -> FieldRef | None:
