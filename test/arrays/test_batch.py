@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -142,6 +144,33 @@ def test_keys_alone_are_read_without_a_message():
     assert only.times.tolist() == [5, 6]
     assert only.size == 0
     assert not list(only.groups)
+
+
+def test_rows_are_let_go_when_they_are_a_batch():
+    """They hold whole messages: eight MiB of them, with all columns."""
+    table = table_of("one")
+    kept = weakref.WeakSet()
+
+    def rows():
+        for t in range(5):
+            row = Row(table, t, "a", 1, 7, "x")
+            kept.add(row)
+            yield row
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "ROW_BATCH_MESSAGES", 3)
+        for _ in row_batches(rows(), lambda table: RowParts(table, None)):
+            gc.collect()
+            assert len(kept) <= 1  # the last one that was read
+
+
+def test_rows_with_all_columns_come_beside_rows_with_some_or_none():
+    """The store gives a message in place of its columns if it was made with others."""
+    table = table_of("one", by_field=True)
+    parts = RowParts(table, ("text",))
+    rows = [Row(table, t, "a", 1, 7, "x") for t in range(4)]
+    rows[1].columns, rows[2].columns, rows[3].columns = (), (b"x",), (None,)
+    assert [list(cells) for cells in parts.read(rows).cells(parts)] == [[b"x"]] * 4
 
 
 CONDITIONS = [

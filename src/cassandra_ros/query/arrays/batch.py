@@ -35,7 +35,7 @@ from cassandra_ros.query.rows.projection import Projection, RowIdentity
 
 _log = logging.getLogger(__name__)
 
-ROW_BATCH_MESSAGES = 512
+ROW_BATCH_MESSAGES = 2048
 """Maximum number of messages in a batch of rows; few, because Python's collector walks through all
 rows that exist at the same time."""
 ROW_BATCH_BYTES = 8 * 1024 * 1024
@@ -278,6 +278,17 @@ class RowParts:
         """
         if self.only_keys:
             return RowBatch(rows, None, [()] * len(rows))
+        if self.columns is None:
+            with suppress(CorruptMessage, MessageNotFound):
+                return RowBatch(rows, [row.wire for row in rows], None)
+        else:
+            all_columns = [self._columns_in(row) for row in rows]
+            if None not in all_columns:
+                return RowBatch(rows, None, all_columns)
+        return self._read_singly(rows)
+
+    def _read_singly(self, rows: Sequence[Row]) -> RowBatch | None:
+        """Read rows of which some messages are damaged, deleted or without columns."""
         kept: list[Row] = []
         wires: list[bytes | None] = []
         cells: list[Cells] = []
