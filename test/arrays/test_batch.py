@@ -137,6 +137,14 @@ def planes_of(groups):
     }
 
 
+def test_joined_batches_count_unreadable_messages():
+    table = table_of("one")
+    first = [Row(table, 0, "a", 1, 7, "x"), Row(table, 1, "a", 1, 7, "x", CORRUPT)]
+    parts = RowParts(table, None)
+    batches = [parts.read(first), parts.read([Row(table, 2, "a", 1, 8, "yy")])]
+    assert planes_of(join_groups(batches)) == {0: wire_of(7, "x"), 2: wire_of(8, "yy")}
+
+
 def test_keys_alone_are_read_without_a_message():
     table = table_of("one")
     rows = [Row(table, 5, "a", 1, 7, "x", CORRUPT), Row(table, 6, "a", 1, 7, "x", DELETED)]
