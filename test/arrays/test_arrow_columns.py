@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -19,8 +20,9 @@ from cassandra_ros.messages.classes import deserialize, message_class
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS
 from cassandra_ros.query.arrays.arrow_columns import make_columns
-from cassandra_ros.query.arrays.arrow_types import adapt, fields_of, unite_schemas
+from cassandra_ros.query.arrays.arrow_types import adapt, fields_of, unite_schemas, wanted_columns
 from cassandra_ros.query.arrays.batch import BlockBatch, group_by_size, join_groups
+from cassandra_ros.query.arrays.row_columns import RowColumns
 
 
 def columns_of(definition, wires, wanted=None):
@@ -165,6 +167,21 @@ def test_a_message_that_cannot_be_read_is_null():
         [[8], None, None, [8]],
         ["t", None, None, "t"],
     ]
+
+
+def test_columns_of_rows_may_be_cut_out_of_their_messages():
+    """Then a text need not be UTF-8, a bool may be 2, and a message may be unreadable."""
+    definition = parse_definition("a/B", "string text\nint32 x\nbool b\nint32 y\n", None)
+    table = SimpleNamespace(by_field=True, definition=definition, columns=("text", "x", "b", "y"))
+    fields = fields_of(definition, wanted_columns([["text"], ["b"]]))
+    reader = RowColumns.of(pa, table, fields)
+    assert reader.names == ["text", "b"]
+    made = reader.make([(b"fine", b"\1"), None, (b"a\xff", b"\2"), (b"", b"\0")])
+    assert [array.to_pylist() for array in made] == [
+        ["fine", None, "a\\xff", ""],
+        [True, None, True, False],
+    ]
+    assert [array.to_pylist() for array in reader.make([None])] == [[None], [None]]
 
 
 def test_text_that_is_not_utf8_is_escaped():
