@@ -295,9 +295,11 @@ def test_comments_hide_nothing():
     assert gather(rows, ["x -- the number"], "x = 1 -- one")["x"].tolist() == [1]
 
 
-def test_names_as_keys():
+def test_names_as_keys(monkeypatch):
+    monkeypatch.setattr(batches, "ROW_BATCH_MESSAGES", 1)
     table = Table(INT64, named=True)
-    assert gather([Row(table, wire_of(1), 5)], "KEY, x")["KEY"].tolist() == ["name 5"]
+    rows = [Row(table, wire_of(1), t) for t in (5, 6)]
+    assert gather(rows, "KEY, x")["KEY"].tolist() == ["name 5", "name 6"]
 
 
 def test_nothing_has_types_all_the_same():
