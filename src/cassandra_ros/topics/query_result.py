@@ -147,8 +147,8 @@ class Condition:
         """
         select, projections, bounds = self._plan(tables, read)
         check = None if bounds.whole else projections.of
-        parts = (read_batches(part, check) for part in bounds.reads())
-        return self._told(chain.from_iterable(parts), select, tables, bounds.read)
+        streams = (read_batches(span_read, check) for span_read in bounds.reads())
+        return self._told(chain.from_iterable(streams), select, tables, bounds.read)
 
     def _plan(self, tables: Sequence[Table], read: Read) -> tuple[Select, Projections, Bounds]:
         """Return the bound condition, its check, and what is read for it."""

@@ -152,8 +152,10 @@ class _BatchMaker:
         arrays, unread = make_columns(self._arrow, table.definition, fields, groups, count)
         if len(unread):
             keys, kind = np.concatenate([batch.times for batch in batches]), table.msg_type
-            for key in keys[unread].tolist():
-                _log.warning("a message of type %s at %s cannot be read", kind, key)
+            wires = [wire for batch in batches for wire in batch.wires]
+            for n in unread.tolist():
+                if wires[n] is not None:  # else it was told when the message was read
+                    _log.warning("a message of type %s at %s cannot be read", kind, keys[n])
         return self._with_own_columns(batches, arrays)
 
     def _with_own_columns(

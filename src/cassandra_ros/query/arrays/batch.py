@@ -372,15 +372,20 @@ def row_batches(rows: Iterable[Row], parts_of: PartsOf) -> Iterator[Batch]:
             table = row.table
             if table.name not in waiting:
                 waiting[table.name] = _WaitingRows(parts_of(table))
-            own = waiting[table.name]
-        own.rows.append(row)
-        own.size += row.size
+            rows_of_table = waiting[table.name]
+        rows_of_table.rows.append(row)
+        rows_of_table.size += row.size
         if row.size >= LARGE_BYTES:
-            own.parts.read_ahead(row)
-        if len(own.rows) >= ROW_BATCH_MESSAGES or own.size >= ROW_BATCH_BYTES:
-            yield from filter(None, [own.take()])
-    for own in waiting.values():
-        yield from filter(None, [own.take()])
+            rows_of_table.parts.read_ahead(row)
+        full = len(rows_of_table.rows) >= ROW_BATCH_MESSAGES
+        if full or rows_of_table.size >= ROW_BATCH_BYTES:
+            batch = rows_of_table.take()
+            if batch is not None:
+                yield batch
+    for rows_of_table in waiting.values():
+        batch = rows_of_table.take()
+        if batch is not None:
+            yield batch
 
 
 class _WaitingRows:

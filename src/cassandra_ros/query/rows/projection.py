@@ -26,6 +26,7 @@ from typing import (
     Optional,
     Sequence,
     Tuple,
+    TypeVar,
     Union,
 )
 
@@ -314,6 +315,8 @@ _PARTS: dict[str, Get] = {
 
 _log = logging.getLogger(__name__)
 
+_Stored = TypeVar("_Stored")
+"""A serialised message, or some of its columns."""
 ResultRow = Tuple[Any, ...]
 """One value for each column of the result."""
 RowIdentity = Tuple[Union[int, str], str, str, int]
@@ -473,14 +476,8 @@ class Projection:
             identity: Its KEY, NODE, RUN and time.
             wire: The serialised message; None = it cannot be read: all of its fields are missing.
         """
-        if self.extractor is not None and wire is not None:
-            try:
-                for fields in self.extractor.wire_values(wire):
-                    yield (*identity, *fields)
-                return
-            except CorruptMessage as exc:
-                _log.warning("a message at %s cannot be read: %s", identity[0], exc)
-        yield (*identity, *[None] * (self.width - OWN_WIDTH))
+        read = None if self.extractor is None else self.extractor.wire_values
+        return self._values_of(identity, read, wire)
 
     def cell_values(
         self, identity: RowIdentity, cells: Sequence[bytes] | None
@@ -491,9 +488,19 @@ class Projection:
             identity: Its KEY, NODE, RUN and time.
             cells: The columns ``extractor.columns``; None = the message cannot be read.
         """
-        if self.extractor is not None and cells is not None:
+        read = None if self.extractor is None else self.extractor.cell_values
+        return self._values_of(identity, read, cells)
+
+    def _values_of(
+        self,
+        identity: RowIdentity,
+        read: Callable[[_Stored], Iterator[FieldValueList]] | None,
+        stored: _Stored | None,
+    ) -> Iterator[RowValues]:
+        """Yield what ``read`` gives of a stored message; None: all of its fields are missing."""
+        if read is not None and stored is not None:
             try:
-                for fields in self.extractor.cell_values(cells):
+                for fields in read(stored):
                     yield (*identity, *fields)
                 return
             except CorruptMessage as exc:

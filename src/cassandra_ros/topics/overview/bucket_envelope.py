@@ -265,8 +265,8 @@ class PieceReader:
             no_columns = replace(self._select, columns=())
             test = Projection.compile(no_columns, table, Findings(self._select.text))
             check = lambda _: test  # noqa: E731
-        for part in replace(bounds, read=read).reads():
-            for batch in self._rows.batches([table], part, lambda _: values.parts, check):
+        for span_read in replace(bounds, read=read).reads():
+            for batch in self._rows.batches([table], span_read, lambda _: values.parts, check):
                 if batch.table.name != table.name:
                     raise TopicNotFound(f"table {table.name} was replaced while it was read")
                 yield batch
