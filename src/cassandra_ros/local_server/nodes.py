@@ -13,8 +13,7 @@ from pathlib import Path
 
 from cassandra_ros.local_server.cluster_settings import ClusterSettings
 from cassandra_ros.local_server.cql import answers_cql
-from cassandra_ros.local_server.jars import server_file
-from cassandra_ros.local_server.java_programs import module_options
+from cassandra_ros.local_server.jars import module_options, server_file
 from cassandra_ros.local_server.server_security import Security, write_private
 
 _RING = 1 << 64

@@ -156,6 +156,23 @@ def run_program(
     return completed.returncode, completed.stdout
 
 
+def run_to_end(
+    command: Sequence[str], environment: Mapping[str, str], timeout_sec: float, failure: str
+) -> None:
+    """Run a program to its end.
+
+    Args:
+        environment: Variables in addition to ours. Secrets go this way: other users see arguments.
+        failure: Beginning of the error text.
+
+    Raises:
+        ServerError: The program fails, or takes longer than the timeout.
+    """
+    status, output = run_program(command, timeout_sec, {**environment, "LC_ALL": "C.UTF-8"})
+    if status:
+        raise ServerError(f"{failure}: {output.strip()[-500:]}")
+
+
 def describe_process(pid: int) -> str:
     """Return a description of a process for people."""
     words = command_line(pid)

@@ -22,8 +22,8 @@ from typing import Sequence
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server.cluster_settings import LOGIN_DIRECTORY, ClusterSettings
 from cassandra_ros.local_server.cql import CqlSession, may_log_in
-from cassandra_ros.local_server.jars import server_file
-from cassandra_ros.local_server.java_programs import module_options, run_to_end
+from cassandra_ros.local_server.jars import module_options, server_file
+from cassandra_ros.local_server.processes import run_to_end
 
 USER = "ros"
 """User of the programs. It has all rights in all keyspaces, and may make roles."""
