@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import os
 import signal
@@ -19,7 +20,7 @@ from std_msgs.msg import Float64
 
 from cassandra_ros.client.sql.duck_database import DuckDatabase, SpillFolder
 from cassandra_ros.client.sql.statement_process import has_files
-from cassandra_ros.client.sql.statement_processes import Statement, StatementProcesses
+from cassandra_ros.client.sql.statement_processes import Statement, StatementProcesses, _crash
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
@@ -99,7 +100,10 @@ def is_for_statements(pid):
         "SELECT INTERVAL 1 SECOND, DATE '2020-01-01', TIMESTAMP_NS '2020-01-01 00:00:00.000000001'",
         "SELECT {'a': [1, NULL], 'b': MAP {'k': 'v'}}, 1.25::DECIMAL(9, 2), 'nan'::FLOAT, NULL",
         "SELECT unnest(range(10000)) AS n, repeat('x', 1000) AS text",
-        "SELECT i, CASE WHEN i = 7 THEN repeat('y', 30000000) END AS large FROM range(9) t(i)",
+        pytest.param(
+            "SELECT i, CASE WHEN i = 7 THEN repeat('y', 30000000) END AS large FROM range(9) t(i)",
+            marks=pytest.mark.suite("all", "a large value"),
+        ),
     ],
 )
 def test_the_answer_is_that_of_this_process(shared, store, text):
@@ -141,6 +145,41 @@ def test_other_errors_keep_their_class(shared, store):
     assert run(shared, store, "SELECT 1")[1] == [(1,)]
 
 
+NARROW = """
+import os, resource, sys
+from cassandra_ros import RosCassandra
+from cassandra_ros.client.sql.sql_result import SqlResult
+
+deep = "SELECT json_valid(repeat('[', 1000000) || repeat(']', 1000000))"
+with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as store:
+    store.sql("SELECT 1").fetchall()
+    used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+    for mib in [*range(0, 64, 3), *range(64, 300, 16)]:
+        if not os.fork():
+            resource.setrlimit(resource.RLIMIT_AS, [used + (mib << 20)] * 2)
+            try:
+                SqlResult(store.catalog, deep).fetchall()
+            except BaseException as exc:
+                os.write(1, f"{type(exc).__name__}\\n".encode())
+            os._exit(0)
+        _, status = os.wait()
+        os.write(1, f"exit {os.waitstatus_to_exitcode(status)}\\n".encode() if status else b"")
+"""
+"""Runs a statement with ever more memory, and prints what ended it each time."""
+
+
+@pytest.mark.suite("all", "it starts many programs")
+def test_memory_that_lacks_anywhere_is_told_as_that(store, cassandra):
+    """DuckDB misses it, a thread that it starts, or the loader for what each thread has."""
+    command = [sys.executable, "-c", NARROW, cassandra.host, str(cassandra.port), store.keyspace]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, timeout=300)
+    ends = collections.Counter(done.stdout.splitlines())
+    # The program that asked for the statement tells the others in the same way.
+    assert set(ends) <= {"AnswerTooLarge", "MemoryError", "exit 127"}, ends
+    assert ends["AnswerTooLarge"] > 5, ends
+    assert isinstance(_crash("SELECT 1", 127), AnswerTooLarge)
+
+
 @pytest.mark.suite("all", "it kills a program")
 def test_a_statement_that_ends_duckdb_ends_nothing_else(pids, own, store):
     assert run(own, store, "SELECT 1")[1] == [(1,)]
@@ -175,7 +214,7 @@ def test_what_is_not_waited_for_ends_and_its_process_goes_on(pids, own, store):
     assert len(pids() & before) in (0, 1)  # a busy machine may not stop it in time
 
 
-@pytest.mark.suite("test", "it starts a process")
+@pytest.mark.suite("all", "a process of its own, whose threads are looked at")
 def test_each_thread_of_its_process_has_a_low_priority(pids, own, store):
     run(own, store, "SELECT count(*) FROM volt")
     (pid,) = pids()
@@ -212,7 +251,7 @@ PROGRAM = """
 import sys
 from cassandra_ros import RosCassandra
 from cassandra_ros.read import EVERYBODY
-from cassandra_ros.client.sql.statement_processes import Statement, StatementProcesses
+from cassandra_ros.client.sql.statement_processes import Statement, StatementProcesses, _crash
 with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as store:
     processes = StatementProcesses(store.cassandra)
     with processes.answer(Statement(store.keyspace, sys.argv[4], EVERYBODY), lambda: None) as got:

@@ -18,6 +18,7 @@ from typing import Any
 
 from cassandra_ros.client.sql import old_duckdb
 from cassandra_ros.client.sql.topic_functions import MACROS
+from cassandra_ros.errors import AnswerTooLarge
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.places.earth import RADIUS_M
@@ -26,6 +27,11 @@ MEMORY = "384MB"
 """Memory of DuckDB for one statement; joins and sorts of more go to disk."""
 SPILL_BYTES = 32 * 10**9
 """Maximum size of what goes to disk, bytes."""
+TOO_LARGE = (
+    "the statement needs more memory or disk space than it may use: select fewer columns, a "
+    "shorter time range, or group its rows"
+)
+"""What is told where memory or disk space was lacking."""
 _PREFIX = "cassandra_ros_sql_"
 _NEW_SEC = 60.0
 """Age above which an unlocked folder is deleted, s. A younger one may be about to be locked."""
@@ -148,6 +154,7 @@ class DuckDatabase:
 
     Raises:
         MissingDependency: DuckDB is not installed; the text says how to install it.
+        AnswerTooLarge: There is too little memory to begin.
     """
 
     def __init__(
@@ -170,6 +177,9 @@ class DuckDatabase:
                 "SET lock_configuration = true",
             ):
                 self.connection.execute(statement)
+        except self.duckdb.OutOfMemoryException as exc:
+            self._folder.close()
+            raise AnswerTooLarge(TOO_LARGE) from exc
         except BaseException:
             self._folder.close()
             raise
@@ -210,6 +220,17 @@ class DuckDatabase:
         if self._is_old:
             return old_duckdb.Select(self.connection, text, params)
         return self.connection.sql(text, params=params or None)
+
+    def is_lack_of_memory(self, exc: Exception) -> bool:
+        """Return whether an error of a statement says that memory, or room on disk, was lacking.
+
+        Where addresses are limited, a thread may be what finds no memory for its stack.
+        """
+        return (
+            isinstance(exc, self.duckdb.OutOfMemoryException)
+            or "Out of Memory" in str(exc)
+            or (isinstance(exc, RuntimeError) and "can't start new thread" in str(exc))
+        )
 
     def check_spill(self) -> None:
         """Check that no more is on disk than may be: DuckDB 1 does not count the rows it sorts.

@@ -13,7 +13,13 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar, Union
 
-from cassandra_ros.client.sql.duck_database import CONSTANT, MEMORY, DuckDatabase, frames_table
+from cassandra_ros.client.sql.duck_database import (
+    CONSTANT,
+    MEMORY,
+    TOO_LARGE,
+    DuckDatabase,
+    frames_table,
+)
 from cassandra_ros.client.sql.event_names import EVENT
 from cassandra_ros.client.sql.frame_source import FrameSource
 from cassandra_ros.client.sql.listed_tables import LISTED, listed_source
@@ -391,19 +397,11 @@ class _Run:
             failed = [s.error for s in self.sources.values() if s.error is not None]
             if failed:
                 raise failed[0] from exc
-            duckdb = self._database.duckdb
-            if not isinstance(exc, (duckdb.Error, OSError)):
+            if self._database.is_lack_of_memory(exc):
+                raise AnswerTooLarge(f"{TOO_LARGE} ({_first_line(str(exc))})") from exc
+            if not isinstance(exc, (self._database.duckdb.Error, OSError)):
                 raise
-            raise self._translate_error(exc) from exc
-
-    def _translate_error(self, exc: Exception) -> CassandraRosError:
-        duckdb, text = self._database.duckdb, str(exc)
-        if isinstance(exc, duckdb.OutOfMemoryException) or "Out of Memory" in text:
-            return AnswerTooLarge(
-                "the statement needs more memory or disk space than it may use: select fewer "
-                f"columns, a shorter time range, or group its rows ({_first_line(text)})"
-            )
-        return self._invalid(text)
+            raise self._invalid(str(exc)) from exc
 
     def _invalid(self, text: str) -> InvalidQuery:
         """Return an error of the statement, from the text of DuckDB's."""

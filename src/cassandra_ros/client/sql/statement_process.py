@@ -22,6 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Iterator
 
+from cassandra_ros.client.sql.duck_database import TOO_LARGE
 from cassandra_ros.client.sql.process_frames import (
     ASK,
     BATCH,
@@ -146,10 +147,7 @@ class _Answerer:
             self._send(frame(STOPPED, b""))
         except (MemoryError, AnswerTooLarge) as exc:
             if isinstance(exc, MemoryError):
-                exc = AnswerTooLarge(
-                    "the statement needs more memory than it may use: select fewer columns, a "
-                    "shorter time range, or group its rows"
-                )
+                exc = AnswerTooLarge(TOO_LARGE)
             self._send(json_frame(FATAL, error_values(exc)))
             return False  # memory that is in pieces may be too little for the next one
         except Exception as exc:  # noqa: BLE001 - the program raises it

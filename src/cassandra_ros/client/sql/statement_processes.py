@@ -19,7 +19,7 @@ import time
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Iterator, Mapping, NamedTuple
 
-from cassandra_ros.client.sql.duck_database import SpillFolder
+from cassandra_ros.client.sql.duck_database import TOO_LARGE, SpillFolder
 from cassandra_ros.client.sql.process_frames import (
     ASK,
     BATCH,
@@ -54,6 +54,8 @@ _STOP_SEC = 1.0
 _LOOK_SEC = 0.05
 """Interval at which a waiting program looks whether its client is still there, s."""
 _READ_BYTES = 1 << 20
+_NO_MEMORY_STATUS = 127
+"""Exit status of a process in which glibc found no memory for what each thread has of its own."""
 
 
 class Statement(NamedTuple):
@@ -364,6 +366,8 @@ def _watch_with_limit(watch: Watch, seconds: float) -> Watch:
 
 def _crash(text: str, status: int) -> CassandraRosError:
     """Return the error of a process that ended with an exit status while it ran a statement."""
+    if status == _NO_MEMORY_STATUS:
+        return AnswerTooLarge(TOO_LARGE)
     if status >= 0:
         return StoreUnavailable(
             f"the process for this statement ended (exit status {status}): the standard error of "
