@@ -167,7 +167,7 @@ BOMBS = {
 }
 
 
-FEW = ("bag many", "mcap zstd lie")
+FEW = ("mcap zstd lie", "mcap many")
 """Those of make test."""
 
 

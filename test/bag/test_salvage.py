@@ -11,6 +11,7 @@ import pytest
 import rosbag
 from bag.truth import string_connection, string_wire
 from mcap.opcode import Opcode
+from suites import sparing
 
 from cassandra_ros.errors import BagError
 from cassandra_ros.files.bag import format as bagformat
@@ -234,8 +235,10 @@ def test_of_a_bag_that_ends_in_its_header_nothing_is_salvaged(tmp_path, size):
         BagReader(cut(path, size), salvage=True)
 
 
-@pytest.mark.parametrize("kind", ["bag none", "bag lz4", "mcap zstd"])
-@pytest.mark.parametrize("format", ["packed", "ros"])
+@pytest.mark.parametrize(
+    "kind", sparing(["bag none", "bag lz4", "mcap zstd"], kept=["bag lz4", "mcap zstd"])
+)
+@pytest.mark.parametrize("format", sparing(["packed", "ros"], kept=["packed"]))
 def test_an_import_that_ended_at_damage_goes_on_with_salvage(rosCas, tmp_path, kind, format):
     make, places = MAKERS[kind]
     path = make(tmp_path / f"a.{kind[:4].strip()}")

@@ -26,7 +26,7 @@ def test_copies_are_equal_in_any_format(rosCas, home, here, there):  # noqa: F81
     assert result.messages == 120
 
 
-@pytest.mark.parametrize("fmt", ["ros", "packed"])
+@pytest.mark.parametrize("fmt", sparing(FEW_FORMATS, kept=["packed"]))
 def test_what_is_missing_there_is_named_and_repaired(rosCas, home, fmt):  # noqa: F811
     fill(rosCas, fmt, 60)
     Replicator(rosCas, home).copy()

@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 from copying.test_replicator import SEC, T0, home, messages  # noqa: F401
 from std_msgs.msg import Int64, String
+from suites import FEW_FORMATS, sparing
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
@@ -34,7 +35,7 @@ def times(ros_cas, topic):
     return [(row.t - T0) // SEC for row in ros_cas.getTopic(topic).rows()]
 
 
-@pytest.mark.parametrize("fmt", ["ros", "packed"])
+@pytest.mark.parametrize("fmt", sparing(FEW_FORMATS, kept=["packed"]))
 def test_what_is_copied_goes_first_and_the_oldest_of_it(rosCas, home, fmt):  # noqa: F811
     store(rosCas, "/a", 0, fmt)
     store(rosCas, "/b", 5, fmt)

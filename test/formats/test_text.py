@@ -8,6 +8,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from suites import sparing
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class
@@ -111,9 +112,10 @@ def test_the_limit_counts_the_bytes_of_a_text(name, character):
     assert storage.decode(shortened).data == character * more
 
 
-@pytest.mark.parametrize("character", CHARACTERS.values(), ids=CHARACTERS)
+@pytest.mark.parametrize("kind", sparing(CHARACTERS, kept=["double quotes", "two bytes"]))
 @pytest.mark.parametrize("name", FORMAT_NAMES)
-def test_texts_of_any_characters_are_exact_around_64_kib(name, character):
+def test_texts_of_any_characters_are_exact_around_64_kib(name, kind):
+    character = CHARACTERS[kind]
     storage = makeFormat(name, "std_msgs/String")
     message = message_class(storage.definition)
     for count in (MAX_COLUMN_BYTES // len(character.encode()) - 5, 40_000):

@@ -208,6 +208,7 @@ def test_two_publishers_a_latched_one_and_a_recorder_that_dies(stage):
     assert got["/latched"] == [numbered(77).hex()]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_messages_of_another_class_are_left_out_and_said(stage, rosCas):
     with rosCas.messageWriter() as writer:
         fields = header_of(String, "/old")

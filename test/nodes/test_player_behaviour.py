@@ -88,7 +88,7 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     assert "were not recorded: buffer full" in child.output
 
 
-@pytest.mark.suite("test", "a player and a recorder")
+@pytest.mark.suite("all", "it waits for seconds of playing")
 def test_its_own_log_is_not_among_what_is_played_under_another_name(roscore, rosCas, where):
     topic = rosCas.addTopic("/rosout", format="binary")
     for n in range(3):

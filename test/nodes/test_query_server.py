@@ -431,6 +431,7 @@ def test_topics_made_later_are_seen(store, ask, get):
     assert get(topic="/later", key=T0)["success"]
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_a_keyspace_that_a_recorder_makes_later(roscore, cassandra, connect, new_keyspace, client):
     where = ("--port", cassandra.port, "--keyspace", new_keyspace, "__name:=early")
     with start_node(roscore, "query_server", *where) as child, connect() as store:

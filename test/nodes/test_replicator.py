@@ -78,7 +78,7 @@ def test_it_copies_and_answers(rosCas, home, roscore, cassandra, client):
         assert child.end() == 0
 
 
-@pytest.mark.suite("test", "a promise of SECURITY.md")
+@pytest.mark.suite("all", "make test asks it of the recorder")
 def test_no_services(rosCas, home, roscore, cassandra):
     add(rosCas, 1)
     words = [

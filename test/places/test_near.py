@@ -703,6 +703,7 @@ def test_what_an_import_brings_back_is_found(rosCas, tmp_path):
     assert asked(rosCas, "NEAR(50, 100, 2)") == [DETOUR]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_poses_that_come_while_a_window_is_asked_are_seen(rosCas, monkeypatch):
     """The path of a window is complete only when poses after its end are known."""
     monkeypatch.setattr(track_windows, "OPEN_WINDOW_CACHE_SEC", -1.0)  # it is read again at once
@@ -769,6 +770,7 @@ def test_a_recorder_notes_poses_that_came_before_the_store_answered(rosCas):
     assert noted_of(rosCas) == [(T0, T0 + 39 * SEC)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_recorder_whose_clock_goes_back_takes_back_what_it_noted(rosCas):
     recording = begun(rosCas)
     drives_on(recording, 40, 60)
@@ -807,6 +809,7 @@ def test_a_recorder_says_nothing_of_poses_among_which_some_were_lost(rosCas):
     assert asked(rosCas, "NEAR(440, 0, 1)") == [T0 + 44 * SEC]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_recorder_sees_that_poses_are_deleted_meanwhile(rosCas):
     recording = begun(rosCas)
     await_true(lambda: rosCas.getTopic("/odom").countTopicData() == 40)
@@ -816,6 +819,7 @@ def test_a_recorder_sees_that_poses_are_deleted_meanwhile(rosCas):
     assert noted_of(rosCas) == [(T0 + 29 * SEC + 1, T0 + 59 * SEC)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_recorder_that_cannot_keep_up_gives_the_index_up(rosCas, monkeypatch):
     recording = begun(rosCas)
     monkeypatch.setattr(place_keeper, "MAX_HELD_BYTES", 40 * len(serialize(odometry(0, 0))))

@@ -9,6 +9,7 @@ from operator import eq, ge, gt, le, lt
 
 import pytest
 from std_msgs.msg import ColorRGBA, Int8
+from suites import FEW_FORMATS, sparing
 from topics.by_index import await_built
 
 from cassandra_ros.errors import InvalidOption
@@ -131,7 +132,7 @@ def test_what_no_value_can_be_is_not_looked_for(rosCas):
     assert "8 known to hold nothing" in str(found)
 
 
-@pytest.mark.parametrize("format", ["ros", "packed"])
+@pytest.mark.parametrize("format", sparing(FEW_FORMATS, kept=["ros"]))
 def test_the_ends_of_integers(rosCas, format):
     """A bound at, or beyond, the smallest and the largest value of a column."""
     values = (-128, -127, 0, 126, 127)

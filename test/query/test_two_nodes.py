@@ -8,6 +8,7 @@ import pytest
 from geometry_msgs.msg import PointStamped, TransformStamped
 from query.brute_force import canonical
 from query.kinds import T0
+from suites import sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
@@ -68,7 +69,7 @@ class Fleet:
         return [tuple(map(canonical, row)) for row in result]
 
 
-@pytest.fixture(params=["ros", "binary"])
+@pytest.fixture(params=sparing(["ros", "binary"], kept=["ros"]))
 def fleet(request, rosCas):
     made = Fleet(rosCas, request.param)
     rosCas.getTopic("point").createIndex("point.x")

@@ -116,6 +116,7 @@ def test_other_programs_read_it(lake):
     assert sorted({each["x"] for each in frame["linear_acceleration"]}) == list(range(10))
 
 
+@pytest.mark.suite("all", "make test reads it with DuckDB and pandas")
 def test_polars_reads_it(lake):
     polars = pytest.importorskip("polars")
     frame = polars.scan_parquet(lake / "imu%2Fdata/**/*.parquet", hive_partitioning=True).collect()

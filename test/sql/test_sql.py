@@ -257,23 +257,26 @@ def test_a_message_has_the_names_of_its_events(robot):
     ]
 
 
+LATER = pytest.mark.suite("all", "make test asks others of its kind")
+
+
 @pytest.mark.usefixtures("events")
 @pytest.mark.parametrize(
     ("where", "count", "read"),
     [
         ("'bump' IN EVENT", 21, 21),
         ("list_contains(EVENT, ?)", 21, 21),
-        ("'bump' IN i.EVENT AND KEY < '2020-09-13 12:26:42'", 10, 11),
+        pytest.param("'bump' IN i.EVENT AND KEY < '2020-09-13 12:26:42'", 10, 11, marks=LATER),
         ("'bump' IN EVENT OR KEY < '2020-09-13 12:26:41'", 31, 100),
-        ("'bump' IN EVENT AND 'a door' IN EVENT", 1, 21),
+        pytest.param("'bump' IN EVENT AND 'a door' IN EVENT", 1, 21, marks=LATER),
         ("'bump' IN EVENT AND linear_acceleration.z > 15", 3, 21),
-        ("('bump' IN EVENT OR 'none' IN EVENT) AND NODE = 'r1'", 21, 21),
-        ("'none' IN EVENT", 0, 0),
+        pytest.param("('bump' IN EVENT OR 'none' IN EVENT) AND NODE = 'r1'", 21, 21, marks=LATER),
+        pytest.param("'none' IN EVENT", 0, 0, marks=LATER),
         ("list_contains(EVENT, '')", 0, 0),
         *([] if OLD_DUCKDB else [("'' IN EVENT", 0, 0)]),
         ("'bump' NOT IN EVENT", 79, 100),
         ("len(EVENT) > 0", 90, 100),
-        ("EVENT = ['bump']", 20, 100),
+        pytest.param("EVENT = ['bump']", 20, 100, marks=LATER),
     ],
 )
 def test_an_event_bounds_what_is_read(robot, where, count, read):

@@ -194,7 +194,7 @@ def test_messages_under_names(rosCas, key_format):
     assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
 
 
-@pytest.mark.parametrize("part", ["header.stamp", "header.seq"])
+@pytest.mark.parametrize("part", sparing(["header.stamp", "header.seq"], kept=["header.stamp"]))
 def test_keys_in_the_message_and_indexes(rosCas, part):
     topic = rosCas.addTopic(
         "/t", "ros", msg_type="sensor_msgs/JointState", key_format="msg_part", key_part=part
@@ -444,7 +444,7 @@ def test_what_comes_late_into_a_bucket_that_stayed_open_is_taken_along(
     assert len(list(topic.rows())) == 42
 
 
-@pytest.mark.parametrize("form", ["ros", "packed", "names"])
+@pytest.mark.parametrize("form", sparing(["ros", "packed", "names"], kept=["packed", "names"]))
 def test_what_comes_after_a_conversion_was_broken_off_is_taken_along(
     rosCas, connect, monkeypatch, form
 ):
@@ -529,8 +529,8 @@ def test_what_came_late_is_not_taken_along_while_its_writer_goes_on(rosCas, conn
 CHANGES = ["convert", "rename", "delete", "index"]
 
 
-@pytest.mark.suite("test", "two changes of all messages")
-@pytest.mark.parametrize("between", sparing(CHANGES, kept=["convert"]))
+@pytest.mark.suite("all", "two changes of all messages")
+@pytest.mark.parametrize("between", CHANGES)
 def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
     topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String")
     for round_ in range(4):
