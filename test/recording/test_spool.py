@@ -623,8 +623,8 @@ def test_a_full_spool_tells_what_it_drops(proxy, store, rosCas, tmp_path, newest
     proxy.cut()
     send(recorder, range(1, 100))
     await_true(lambda: recorder.is_held_up)
-    for first in range(100, 10_000, 900):  # some a time, or all would be one chunk
-        send(recorder, range(first, first + 900))
+    for first in range(100, 10_000, 450):  # some a time, or all would be one chunk
+        send(recorder, range(first, first + 450))
         await_out_of_memory(recorder)  # they are written, or dropped
     await_true(lambda: recorder.reports()[0].lost > 1000)
     assert folder.nbytes() < 110_000
