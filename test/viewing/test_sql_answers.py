@@ -163,16 +163,9 @@ def asking_without_end(viewer, begun):
         yield
 
 
-def test_a_client_that_leaves_ends_its_statement(viewer, begun):
-    """Otherwise as many endless statements as may run at the same time would block all others."""
-    for _ in range(STATEMENTS_AT_ONCE):
-        with asking_without_end(viewer, begun):
-            pass
-    assert ask(viewer, "/api/query", "SELECT 1 AS one")["rows"] == [[1]]
-
-
 @pytest.mark.suite("all", "it starts statements without an end")
 def test_the_viewer_ends_while_statements_run(viewer, begun):
+    # Before the test whose clients leave: the processes of their statements are replaced later.
     before = sql_processes()
     with contextlib.ExitStack() as clients:
         with running_viewer(viewer.store) as other:
@@ -191,3 +184,11 @@ def sql_processes():
                 if b"statement_process" in Path(f"/proc/{pid}/cmdline").read_bytes():
                     running.add(int(pid))
     return running
+
+
+def test_a_client_that_leaves_ends_its_statement(viewer, begun):
+    """Otherwise as many endless statements as may run at the same time would block all others."""
+    for _ in range(STATEMENTS_AT_ONCE):
+        with asking_without_end(viewer, begun):
+            pass
+    assert ask(viewer, "/api/query", "SELECT 1 AS one")["rows"] == [[1]]
