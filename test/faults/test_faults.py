@@ -34,15 +34,21 @@ VARIANTS = (
     "clock_set_forward",
     "connections_silent",
     "conversion_back_killed",
+    "converted",
     "copy_killed_converting",
     "copy_killed_packed",
     "deletion_killed_packed",
     "import_killed_packed",
+    "indexed",
+    "messages_deleted",
+    "network_silent",
     "other_topics_at_home",
     "recorder_killed_packed",
     "replicators_at_once",
+    "simulated_clock_set_back",
     "store_away_longer_than_the_buffer",
     "topic_renamed_on_both_sides",
+    "truncated",
 )
 """Faults of which another one takes the same way through the code."""
 

@@ -29,6 +29,7 @@ from cassandra.policies import WhiteListRoundRobinPolicy
 from cassandra.query import BatchStatement, BatchType, SimpleStatement
 from nodes.children import PROGRAMS, Child
 from std_msgs.msg import String
+from suites import CAMPAIGN
 from topics.by_index import await_built
 
 from cassandra_ros import RosCassandra
@@ -285,7 +286,7 @@ def test_a_table_is_there_or_not_after_kill_9_while_it_was_made(folder):
     cluster.start(die_with_us=True)
     ask(cluster, "CREATE KEYSPACE made WITH replication = {'class': 'SimpleStrategy'}")
     numbers = itertools.count()
-    for _ in range(3):
+    for _ in range(3 if CAMPAIGN else 1):
         with session(cluster) as maker:
             futures = [
                 maker.execute_async(f"CREATE TABLE made.t{next(numbers)} (i int PRIMARY KEY)")
@@ -418,7 +419,7 @@ def nodes_asked(rosCas):
     return len(listed)
 
 
-@pytest.mark.suite("all", "it starts or kills Cassandras")
+@pytest.mark.suite("campaign", "three Cassandras; make test-all starts two")
 def test_three_nodes(tmp_path, monkeypatch, caplog, capsys):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)

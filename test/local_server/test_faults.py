@@ -26,6 +26,12 @@ from cassandra_ros.metadata import FORMAT_NAMES
 
 GONE = "has not answered since"
 COUNT = 20_000
+HOW = [
+    "killed",
+    pytest.param(
+        "frozen", marks=pytest.mark.suite("campaign", "the fault table has a store that is frozen")
+    ),
+]
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +63,7 @@ def place_of(cluster):
 
 @pytest.mark.suite("all", "it kills a Cassandra")
 @pytest.mark.fault
-@pytest.mark.parametrize("how", ["killed", "frozen"])
+@pytest.mark.parametrize("how", HOW)
 def test_an_import_survives_its_server(cluster, tmp_path, caplog, how):
     share, form = random.uniform(0.1, 0.9), random.choice(list(FORMAT_NAMES))
     told = f"struck after {share} of an import in format {form}"
@@ -94,7 +100,7 @@ def test_an_import_survives_its_server(cluster, tmp_path, caplog, how):
 
 @pytest.mark.suite("all", "it kills a Cassandra")
 @pytest.mark.fault
-@pytest.mark.parametrize("how", ["killed", "frozen"])
+@pytest.mark.parametrize("how", HOW)
 def test_a_recording_survives_its_server(roscore, cluster, how):
     form, place, keyspace = random.choice(list(FORMAT_NAMES)), place_of(cluster), f"recorder_{how}"
     options = ("/numbered", "--format", form, "--block-age", "0.2")
