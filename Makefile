@@ -35,7 +35,7 @@ help:
 	@echo "                 ARGS=--nodes=3    on three nodes, of which one is killed"
 	@echo "                 ARGS=--secure     with a login, over TLS"
 	@echo "                 ARGS=--fleet      two robots that copy themselves home, see doc/fleet.md"
-	@echo "make test      every promise once, on a real Cassandra and a real roscore: seven to ten minutes"
+	@echo "make test      every promise once, on a real Cassandra and a real roscore: six to ten minutes"
 	@echo "                 ARGS='-k name'    some tests; ARGS are the options of pytest"
 	@echo "                 PYTHON=python3.8  under another Python, up to python3.13, with the reasons and numbers of"
 	@echo "                                   the tests that cannot run there; also with test-all and campaign"

@@ -167,7 +167,7 @@ BOMBS = {
 }
 
 
-FEW = ("mcap zstd lie", "mcap many")
+FEW = ("bag bz2", "mcap zstd lie", "mcap many")
 """Those of make test."""
 
 

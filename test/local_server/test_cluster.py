@@ -419,7 +419,7 @@ def nodes_asked(rosCas):
     return len(listed)
 
 
-@pytest.mark.suite("campaign", "three Cassandras; make test-all starts two")
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_three_nodes(tmp_path, monkeypatch, caplog, capsys):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)

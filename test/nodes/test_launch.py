@@ -136,7 +136,7 @@ def received(client, topic):
     return sum(each["received"] for each in topics if each["topic"] == topic)
 
 
-@pytest.mark.suite("all", "it waits for seconds of playing")
+@pytest.mark.suite("test", "the launch file")
 def test_play_launch_plays(launched, roscore, rosCas):
     begin = time.time_ns() // 10**9 * 10**9 - 10**11
     with rosCas.messageWriter(nodeID="robot 1") as writer:

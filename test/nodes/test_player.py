@@ -150,7 +150,7 @@ def test_a_bag_is_recorded_as_it_was(roscore, start, beginning, tmp_path):
     record_again(roscore, start, beginning, tmp_path, tuple(beginning.expected))
 
 
-@pytest.mark.suite("all", "it waits for a store that does not answer")
+@pytest.mark.suite("test", "--store")
 def test_several_stores_are_played_as_one(roscore, fresh):
     with fresh() as home, fresh() as robot:
         numbers = robot.addTopic("/n", format="packed")
@@ -223,7 +223,7 @@ def test_steered_by_services(roscore, player, rosCas):
     assert told(child)[-1] == "played 33 messages of 1 topic"
 
 
-@pytest.mark.suite("all", "make test asks it of the recorder")
+@pytest.mark.suite("test", "a promise of SECURITY.md")
 def test_no_services(roscore, player, rosCas):
     rosCas.addTopic("/m").addData(Int32(1), key=T0)
     child = player("-k", "--no-services", ready="/player offers no services")

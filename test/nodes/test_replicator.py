@@ -78,7 +78,7 @@ def test_it_copies_and_answers(rosCas, home, roscore, cassandra, client):
         assert child.end() == 0
 
 
-@pytest.mark.suite("all", "make test asks it of the recorder")
+@pytest.mark.suite("test", "a promise of SECURITY.md")
 def test_no_services(rosCas, home, roscore, cassandra):
     add(rosCas, 1)
     words = [

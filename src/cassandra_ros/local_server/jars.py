@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Find Java and Cassandra's jars, download the jars, completely or not at all, and how to run them.
+"""Find Java and Cassandra's jars, and download the jars, completely or not at all.
 
 Maven downloads them, or without Maven the Python package maven-artifact. Both ways the jars
-are compared with the hashes in jars.txt.
+are compared with the hashes in jars.txt. ``module_options`` is what Cassandra's classes need of
+Java.
 """
 
 from __future__ import annotations

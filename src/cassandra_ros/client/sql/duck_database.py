@@ -177,11 +177,10 @@ class DuckDatabase:
                 "SET lock_configuration = true",
             ):
                 self.connection.execute(statement)
-        except self.duckdb.OutOfMemoryException as exc:
+        except BaseException as exc:
             self._folder.close()
-            raise AnswerTooLarge(TOO_LARGE) from exc
-        except BaseException:
-            self._folder.close()
+            if self.is_lack_of_memory(exc):
+                raise AnswerTooLarge(TOO_LARGE) from exc
             raise
 
     def _config(self, memory: str) -> dict[str, Any]:
@@ -221,7 +220,7 @@ class DuckDatabase:
             return old_duckdb.Select(self.connection, text, params)
         return self.connection.sql(text, params=params or None)
 
-    def is_lack_of_memory(self, exc: Exception) -> bool:
+    def is_lack_of_memory(self, exc: BaseException) -> bool:
         """Return whether an error of a statement says that memory, or room on disk, was lacking.
 
         Where addresses are limited, a thread may be what finds no memory for its stack.
