@@ -9,6 +9,7 @@ import os
 import re
 import select
 import signal
+import socket
 import struct
 import subprocess
 import sys
@@ -23,7 +24,7 @@ import pytest
 from geometry_msgs.msg import PointStamped
 from nodes.children import PROGRAMS, Child, await_true, start_client, start_node, told
 from nodes.raw_publisher import RawPublisher, header_of, message
-from nodes.raw_subscriber import RawSubscriber
+from nodes.raw_subscriber import RawSubscriber, find
 from nodes.test_registration import listed, master  # noqa: F401 - a fixture
 from proxy import Proxy
 from rosgraph_msgs.msg import Log
@@ -86,6 +87,14 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     assert "subscribers of /big missed" in child.output
     assert "12 messages of topic /big from 2014-07-10T" in child.output
     assert "were not recorded: buffer full" in child.output
+
+
+def test_a_peer_that_says_nothing_keeps_nobody_waiting(roscore, numbers, where):
+    with start_node(roscore, "player", *where, "-r", "100", "--wait-for-subscribers") as child:
+        with socket.create_connection(find(roscore.uri, "/n", 60, None), 60):
+            with RawSubscriber(roscore.uri, "/n", 60) as heard:
+                assert list(map(number, heard.rest())) == list(range(COUNT))
+            assert child.wait() == 0, child.output
 
 
 @pytest.mark.suite("all", "it waits for seconds of playing")

@@ -8,6 +8,7 @@ import base64
 import json
 import math
 import signal
+import socket
 import subprocess
 import time
 import uuid
@@ -15,6 +16,7 @@ import uuid
 import pytest
 from nodes.children import start_client, start_node, told
 from nodes.raw_publisher import message
+from nodes.raw_subscriber import find
 from sensor_msgs.msg import Image, NavSatFix
 from std_msgs.msg import Int64, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
@@ -122,6 +124,11 @@ def test_runs_are_told_apart(get, span, ask):
     for answer in (get(topic="/runs", run="morn"), span(topic="/runs", run="morn")):
         assert (answer["success"], "did you mean morning" in answer["message"]) == (False, True)
     assert "no run" in ask("select data from runs", run="morn")["message"]
+
+
+def test_a_peer_that_says_nothing_keeps_no_call_waiting(roscore, get):
+    with socket.create_connection(find(roscore.uri, "/rosout", 60, "/cassandra_ros"), 60):
+        assert get(topic="/fix", key=T0, timeout_sec=60)["success"]
 
 
 def test_one_message(get):

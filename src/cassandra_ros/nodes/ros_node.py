@@ -23,6 +23,7 @@ from urllib.parse import urlparse
 from xml.parsers.expat import ExpatError
 
 import rospy
+from rospy.impl import tcpros_base
 
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.keys import SECOND_NS
@@ -109,6 +110,22 @@ def await_master() -> None:
             signal.signal(number, handler)
 
 
+def greet_apart() -> None:
+    """Let rospy greet each peer on a thread of its own; call it before ``init_node``.
+
+    rospy waits for the connection header of one peer after the other. A peer that connects and
+    sends none would keep all later ones from the topics and services of the node: one whose network
+    was lost at that moment, or one that takes the port for that of a node that has ended.
+    """
+    server = tcpros_base.init_tcpros_server()
+    greet = server._tcp_server_callback
+
+    def greet_on_thread(sock: socket.socket, address: tuple[str, int]) -> None:
+        threading.Thread(target=greet, args=(sock, address), name="greet", daemon=True).start()
+
+    server._tcp_server_callback = greet_on_thread
+
+
 def start_named_node(
     default: str, argv: Sequence[str], *, signals: bool = False, rosout: bool = True
 ) -> Mapping[str, object]:
@@ -131,6 +148,7 @@ def start_named_node(
     with own_name(default, argv) as (name, full_name, taken):
         # With a name on the command line rospy would not choose an anonymous one.
         words = [word for word in argv if not (taken and word.startswith(_NAME))]
+        greet_apart()
         rospy.init_node(
             name,
             argv=words,
