@@ -22,10 +22,12 @@ from conftest import NO_MASTER
 from mapping.room import Drive
 from nodes.children import PROGRAMS, Child, await_true, start_node, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of, message
+from rospy.impl.registration import get_service_manager, get_topic_manager
 from std_msgs.msg import String
 from suites import sparing
 
 from cassandra_ros.local_server import free_port
+from cassandra_ros.nodes import registration
 from cassandra_ros.nodes.ros_node import own_name
 from cassandra_ros.store.tables.registry import LossKind
 
@@ -113,6 +115,31 @@ def listed_node(master, name):
 
 AWAY, UNKNOWN = "the ROS master does not answer", "the ROS master does not know this node any more"
 BACK = "the ROS master answers again"
+
+
+@pytest.mark.parametrize("manager", [get_topic_manager(), get_service_manager()])
+def test_a_registration_that_waits_for_the_master_does_not_silence_the_watch(
+    monkeypatch, caplog, manager
+):
+    """rospy holds a lock until the master has answered it."""
+    monkeypatch.setattr(registration, "TIMEOUT_SEC", 0.1)
+    monkeypatch.setattr(registration, "POLL_SEC", 0.01)
+    ended = threading.Event()
+
+    def wait_for_the_master():
+        with manager.lock:
+            ended.wait(60)
+
+    waiting = threading.Thread(target=wait_for_the_master)
+    waiting.start()
+    watch = registration.Registration().start()
+    try:
+        await_true(lambda: AWAY in caplog.text, 60)
+        assert "a registration has waited for it for 0.1 s" in caplog.text
+    finally:
+        ended.set()
+        waiting.join()
+        watch.stop()
 
 
 @pytest.mark.suite("all", "it kills or cuts something, and waits")

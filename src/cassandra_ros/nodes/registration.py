@@ -8,10 +8,11 @@ master does not know it: new publishers are never connected, and services are no
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
-from typing import Any, Callable, NamedTuple
+from typing import Any, Callable, Iterator, NamedTuple
 
 import rospy
 from rospy.core import is_shutdown_requested
@@ -64,16 +65,30 @@ class _Registrations(NamedTuple):
 
 
 def _own_registrations() -> _Registrations:
-    """Return the registrations that rospy has for this node; none once it shuts down."""
+    """Return the registrations that rospy has for this node; none once it shuts down.
+
+    TimeoutError: one that is being made waits for the master.
+    """
     # At shutdown rospy unregisters everything before is_shutdown() is true, but still lists it.
     if is_shutdown_requested():
         return _Registrations(set(), set(), set())
-    manager = get_topic_manager()
-    with manager.lock:
-        publications = {(str(name), str(kind)) for name, kind in manager.get_publications()}
-        subscriptions = {(str(name), str(kind)) for name, kind in manager.get_subscriptions()}
-    services = {(str(name), str(uri)) for name, uri in get_service_manager().get_services()}
-    return _Registrations(publications, subscriptions, services)
+    topics, services = get_topic_manager(), get_service_manager()
+    with _held(topics.lock):
+        found = [topics.get_publications(), topics.get_subscriptions()]
+    with _held(services.lock):
+        found.append(services.get_services())
+    return _Registrations(*({(str(name), str(what)) for name, what in pairs} for pairs in found))
+
+
+@contextlib.contextmanager
+def _held(lock: threading.Condition) -> Iterator[None]:
+    """Hold a lock of rospy, which keeps it while it registers, until the master has answered."""
+    if not lock.acquire(timeout=TIMEOUT_SEC):
+        raise TimeoutError(f"a registration has waited for it for {TIMEOUT_SEC:g} s")
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 class Registration:
