@@ -21,7 +21,7 @@ from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS
 from cassandra_ros.query.arrays.arrow_columns import make_columns
 from cassandra_ros.query.arrays.arrow_types import adapt, fields_of, unite_schemas, wanted_columns
-from cassandra_ros.query.arrays.batch import BlockBatch, group_by_size, join_groups
+from cassandra_ros.query.arrays.batch import StackedBatch, group_by_size, join_groups
 from cassandra_ros.query.arrays.row_columns import RowColumns
 
 
@@ -146,8 +146,8 @@ def test_blocks_are_joined_in_their_order():
     definition = parse_definition("a/B", "int32 x\nstring s\n", None)
     parts = [[struct.pack("<iI", n, len(t)) + t for n, t in enumerate(texts)] for texts in TEXTS]
     blocks = [
-        BlockBatch(None, "", 0, np.zeros(len(part), np.int64), None, list(group_by_size(part)))
-        for part in parts
+        StackedBatch(None, "", times, times, list(group_by_size(part)))
+        for part, times in [(part, np.zeros(len(part), np.int64)) for part in parts]
     ]
     count = sum(map(len, parts))
     made = make_columns(pa, definition, fields_of(definition, None), join_groups(blocks), count)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import gc
 import weakref
+from itertools import groupby
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,8 +19,8 @@ from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.query.arrays import batch
 from cassandra_ros.query.arrays.batch import (
-    BlockBatch,
     RowParts,
+    StackedBatch,
     group_by_size,
     join_groups,
     only_keys,
@@ -199,7 +200,9 @@ CONDITIONS = [
     where=st.sampled_from(CONDITIONS),
     data=st.data(),
 )
-def test_a_batch_of_a_block_is_checked_where_the_store_is_not_sure(messages, where, data):
+def test_a_batch_of_messages_that_lie_together_is_checked_where_the_store_is_not_sure(
+    messages, where, data
+):
     """Messages of which it is sure stay, whatever the condition says."""
     table = table_of("one")
     count = len(messages)
@@ -207,12 +210,11 @@ def test_a_batch_of_a_block_is_checked_where_the_store_is_not_sure(messages, whe
         st.one_of(st.none(), st.lists(st.booleans(), min_size=count, max_size=count))
     )
     wires = [None if message is None else wire_of(*message) for message in messages]
-    block = BlockBatch(
+    block = StackedBatch(
         table,
         "a",
-        7,
         np.arange(count),
-        np.arange(count),
+        (7 + np.arange(count) // 3) << 32,
         list(group_by_size(wires)),
         None if unsure is None else np.array(unsure),
     )
@@ -229,4 +231,5 @@ def test_a_batch_of_a_block_is_checked_where_the_store_is_not_sure(messages, whe
     ]
     assert found.times.tolist() == expected
     assert found.wires == [wires[t] for t in expected]
-    assert found.owners[0] == ("a", 7, len(expected))
+    writers = [7 + t // 3 for t in expected]
+    assert found.owners == [("a", writer, len(list(same))) for writer, same in groupby(writers)]

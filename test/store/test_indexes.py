@@ -137,6 +137,30 @@ def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
     assert [page for page in backfill.pages("", table.bucket_of(T0), 10) if page] == []
 
 
+def test_arrays_leave_out_what_is_left_of_rows_that_have_expired(rosCas, cql):
+    table = store(rosCas, "/t", 200, ttl=1000)
+    topic = rosCas.getTopic("/t")
+    topic.createIndex("data")
+    found = cql.execute(
+        "SELECT column_name, kind FROM system_schema.columns "
+        "WHERE keyspace_name = %s AND table_name = %s",
+        (rosCas.keyspace, table.name),
+    )
+    kinds = dict(map(tuple, found))
+    expired = [f'"{n}"' for n, kind in kinds.items() if kind == "regular" and n != "_ix0"]
+    keys = [f'"{n}"' for n, kind in kinds.items() if kind in ("partition_key", "clustering")]
+    for row in list(cql.execute(f"SELECT {', '.join(keys)} FROM {table.qualified}"))[::7]:
+        where = " AND ".join(f"{name} = %s" for name in keys)
+        cql.execute(f"DELETE {', '.join(expired)} FROM {table.qualified} WHERE {where}", row)
+    assert len(select(cql, table, '"_ix0"')) == 200
+    wanted = [(T0 + n, str(n)) for n in range(200) if n % 7]
+    found = topic.getArrays(["KEY", "data"])
+    assert list(zip(found["KEY"].tolist(), found["data"].tolist())) == wanted
+    columns = topic.toArrow().read_all()
+    times = columns["KEY"].cast("int64").to_pylist()
+    assert sorted(zip(times, columns["data"].to_pylist())) == wanted
+
+
 def test_without_a_ttl_a_value_stays(rosCas, cql):
     table = store(rosCas, "/t", 5)
     rosCas.getTopic("/t").createIndex("data")

@@ -47,6 +47,20 @@ def fill(rosCas, fmt, count=40):
     return topic
 
 
+@pytest.mark.parametrize("fmt", ["ros", "binary"])
+def test_keys_in_the_messages_are_the_keys_of_whole_pages(rosCas, fmt):
+    """Their rows hold the receive time, too."""
+    topic = rosCas.addTopic(
+        "/h", fmt, msg_type="std_msgs/Header", key_format="msg_part", key_part="stamp"
+    )
+    for n in range(120):
+        topic.addData(Header(seq=n, stamp=Stamp.from_ns(T0 + n)))
+    rosCas.catalog.adder.close()
+    table = topic.toArrow().read_all()
+    assert table["KEY"].cast(pa.int64()).to_pylist() == [T0 + n for n in range(120)]
+    assert table["seq"].to_pylist() == list(range(120))
+
+
 @pytest.mark.parametrize("fmt", sparing(sorted(FORMAT_NAMES), FEW_FORMATS))
 def test_every_format_gives_the_same_table(rosCas, fmt):
     topic = fill(rosCas, fmt)

@@ -12,12 +12,20 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from suites import sparing
 
-from cassandra_ros.errors import InvalidOption, SchemaConflict, TopicNotFound, UnknownFormat
+from cassandra_ros.errors import (
+    InvalidOption,
+    SchemaConflict,
+    StoreUnavailable,
+    TopicNotFound,
+    UnknownFormat,
+)
 from cassandra_ros.keys import decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import FORMAT_NAMES
+from cassandra_ros.query.arrays import arrow_batches, batch
+from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.store.tables import replacement, schema
 from cassandra_ros.topics.upkeep import conversion as convert
 from cassandra_ros.topics.upkeep import table_copy as copying
@@ -174,6 +182,52 @@ def test_an_iterator_goes_on_where_its_table_was_dropped(rosCas):
         row.table.connections.get.cache_clear()
         assert row.connection.topic == "/t"
         assert row.message().header.seq >= 0
+
+
+@pytest.mark.parametrize("source", ["ros", "binary", "packed"])
+def test_arrays_are_read_again_where_a_table_was_dropped(rosCas, monkeypatch, source):
+    fill(rosCas, source, 150)
+    topic = rosCas.getTopic("/t")
+    wanted = sorted((row.t, row.message().header.seq) for row in topic.rows())
+    add, targets = TableValues.add, ["json", "binary" if source == "packed" else "packed"]
+
+    def add_and_convert(self, batch):
+        add(self, batch)
+        if targets:
+            rosCas.convertTopic("/t", targets.pop())
+
+    monkeypatch.setattr(TableValues, "add", add_and_convert)
+    for where in (None, "header.seq >= 0"):
+        found = topic.getArrays(["KEY", "header.seq"], where=where)
+        assert sorted(zip(found["KEY"].tolist(), found["header.seq"].tolist())) == wanted
+    assert not targets
+
+
+@pytest.mark.parametrize("source", ["ros", "packed"])
+def test_record_batches_end_where_a_table_was_dropped(rosCas, monkeypatch, source):
+    monkeypatch.setattr(arrow_batches, "ARROW_BATCH_MESSAGES", 1)
+    monkeypatch.setattr(batch, "ROW_BATCH_MESSAGES", 50)
+    fill(rosCas, source, 150)
+    topic = rosCas.getTopic("/t")
+    begun, new = topic.toArrow(), topic.toArrow()
+    first = begun.read_next_batch()
+    assert 0 < first.num_rows < 300
+    rosCas.convertTopic("/t", "binary")
+    with pytest.raises(StoreUnavailable, match="was converted or removed while it was read"):
+        begun.read_all()
+    assert new.read_all().num_rows == 300  # of which no batch had been read
+
+
+def test_a_table_that_is_made_meanwhile_does_not_end_record_batches(rosCas, monkeypatch):
+    monkeypatch.setattr(arrow_batches, "ARROW_BATCH_MESSAGES", 1)
+    monkeypatch.setattr(batch, "ROW_BATCH_MESSAGES", 50)
+    fill(rosCas, "ros", 150)
+    reader = rosCas.getTopic("/t").toArrow()
+    first = reader.read_next_batch()
+    with rosCas.messageWriter(writer_id=9, format="ros") as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"), bucket_ns=SEC)
+        writer.write(handle, T0, 0, serialize(String("another type")))
+    assert first.num_rows + reader.read_all().num_rows == 300
 
 
 @pytest.mark.parametrize("key_format", ["hash", "manual"])

@@ -13,7 +13,7 @@
 A row holds one message or a block: ``tables/table_layout`` says what is asked of either,
 ``blocks/block_layout`` and ``rows/layouts`` answer it, and ``rows/layouts`` chooses.
 
-In: a ``Read``, or rows with a table that has its encoder (made in topics/). Out: rows.
-This room imports no other; each folder imports those that are listed before it. The driver of
-Cassandra comes in here.
+In: a ``Read``, or rows with a table that has its encoder (made in topics/). Out: rows, one by one
+or as portions. This room imports no other; each folder imports those that are listed before it. The
+driver of Cassandra comes in here.
 """

@@ -6,37 +6,32 @@
 one, because its topic is converted (``FollowingReader``, ``followed``). The old table is dropped
 some seconds after the new one became visible. A reader of the old table then gets an error, and
 goes on in the new table after the last row that it yielded: rows have the same positions there. A
-read of whole blocks ends with ``TableReplaced``.
+read of batches ends with ``TableReplaced``.
 """
 
 from __future__ import annotations
 
 import heapq
-import logging
-from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from itertools import repeat
 from typing import Callable, Iterable, Iterator, Sequence, TypeVar
 
-import numpy as np
-
-from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound, TopicNotFound
-from cassandra_ros.keys import Position, RowName, is_after, writer_of
+from cassandra_ros.errors import InvalidKey, TopicNotFound
+from cassandra_ros.keys import Position, RowName, is_after
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.messages.wire.message_stacks import Int64Array, Planes, as_planes, planes_of
+from cassandra_ros.messages.wire.message_stacks import planes_of
 from cassandra_ros.query.arrays.batch import (
     Batch,
-    BlockBatch,
     CheckOf,
     PartsOf,
+    StackedBatch,
     choose_groups,
     row_batches,
 )
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.read import Named, Read, Valued, Whose
-from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.rows.fetch import (
     RowKey,
@@ -48,9 +43,10 @@ from cassandra_ros.store.rows.fetch import (
     list_names,
     versions,
 )
-from cassandra_ros.store.rows.reader import read_blocks, read_rows
+from cassandra_ros.store.rows.reader import read_portions, read_rows
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.store.tables.row_table import TableRow
+from cassandra_ros.store.tables.table_layout import Portion
 from cassandra_ros.topics.stored_row import StoredRow, chunks_ahead
 from cassandra_ros.topics.topic_table import TableSet, TopicTable
 
@@ -85,20 +81,20 @@ class RowReader:
         named = self._by_name([t for t in tables if t.named], read)
         return heapq.merge(rows, named, key=lambda row: row.position, reverse=read.reverse)
 
-    def blocks(
-        self, tables: Sequence[TopicTable], read: Read, *, only_keys: bool
-    ) -> Iterator[BlockBatch]:
-        """Yield the messages of a read as they lie in blocks, in any order.
-
-        Only time range, nodes, writers and chooser of the read count.
+    def batches(
+        self, tables: Sequence[TopicTable], read: Read, parts: PartsOf, check: CheckOf | None
+    ) -> Iterator[Batch]:
+        """Yield the messages of a time range as batches, in any order.
 
         Args:
-            tables: Tables of format ``packed``.
-            read: What is read.
-            only_keys: Whether large messages are not read, because only the keys are needed.
+            tables: Tables whose keys are times.
+            read: What is read: ``reverse``, ``after`` and ``wanted`` are not set.
+            parts, check: As in ``portion_batches``.
         """
-        blocks = read_blocks(self._directory, tables, read)
-        return block_batches(blocks, tables, only_keys=only_keys)
+        portions = read_portions(self._directory, tables, read)
+        for batch in portion_batches(portions, tables, parts, check):
+            self._cassandra.require_open()  # so that an iterator ends when the connection is closed
+            yield batch
 
     def _stored_rows(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
@@ -232,10 +228,17 @@ class RowReader:
         return None if rows is None else list(self._stored_rows(rows, tables))
 
 
-def _passing(rows: Iterable[StoredRow], check: CheckOf) -> Iterator[StoredRow]:
-    """Yield the rows that satisfy a condition."""
+def _passing(
+    rows: Iterable[StoredRow | StackedBatch], check: CheckOf
+) -> Iterator[StoredRow | StackedBatch]:
+    """Yield the rows, and the messages of batches, that satisfy a condition."""
     table: TopicTable | None = None
     for row in rows:
+        if isinstance(row, StackedBatch):
+            passing = row.passing(check(row.table))
+            if len(passing):
+                yield passing
+            continue
         if row.table is not table:
             table = row.table
             hit = check(table).hit
@@ -344,41 +347,18 @@ class FollowingReader:
     def batches(
         self, tables: Tables, read: Read, parts: PartsOf, check: CheckOf | None = None
     ) -> Iterator[Batch]:
-        """Yield the messages of a read that satisfy a condition, as batches.
-
-        If all tables are packed, whole blocks are read, in any order. Else the batches of a table
-        are in the order of the read.
+        """Yield the messages of a read that satisfy a condition, as batches, in any order.
 
         Args:
             tables: The tables that are read.
-            read: What is read. Its ``columns`` do not count.
+            read: What is read: ``reverse``, ``after``, ``wanted`` and ``columns`` are not set.
             parts: What is read of the rows of a table.
             check: The check of the condition; None = all messages satisfy it.
 
         Raises:
-            TableReplaced: A packed table was replaced meanwhile, or the topic got a new one. It is
-                raised after the last batch at the latest: the read does not go on in the new table.
+            TableReplaced: A table was replaced after the first batch. It is raised after the last
+                batch at the latest: the read does not go on in the new table.
         """
-        tables = current(tables)
-        if not in_blocks(tables, read):
-            yield from self._row_batches(tables, read, parts, check)
-            return
-        try:
-            only_keys = check is None and all(parts(table).only_keys for table in tables)
-            for batch in self._rows.blocks(tables, read, only_keys=only_keys):
-                passing = batch if check is None else batch.passing(check(batch.table))
-                if len(passing):
-                    yield passing
-            if not _was_replaced(tables):
-                return
-        except TopicNotFound as exc:
-            _present_tables(tables, exc)
-        raise TableReplaced("a table was replaced, or made, while the topic was read")
-
-    def _row_batches(
-        self, tables: Tables, read: Read, parts: PartsOf, check: CheckOf | None
-    ) -> Iterator[Batch]:
-        """Yield the rows of a read as batches; the arguments are those of ``batches``."""
 
         def columns(table: Table) -> Sequence[str] | None:
             if check is None:
@@ -387,8 +367,30 @@ class FollowingReader:
             # rows are read if more than the keys is needed.
             return check(table).columns if parts(table).only_keys else None
 
-        rows = self.read(tables, replace(read, columns=columns))
-        return row_batches(rows if check is None else _passing(rows, check), parts)
+        read = replace(read, columns=columns)
+        if read.only is not None or any(table.named for table in current(tables)):
+            rows = self.read(tables, read)
+            yield from row_batches(rows if check is None else _passing(rows, check), parts)
+            return
+        begun = False
+        while not begun:
+            tables = current(tables)
+            try:
+                batches = self._rows.batches(tables, read, parts, check)
+                first = next(batches, None)
+                if _was_replaced(tables):
+                    continue  # no batch was yielded yet
+                if first is None:
+                    return
+                # A list stands for these tables alone: later ones need not be read.
+                tables, begun = list(tables), True
+                yield first
+                yield from batches
+                if not _was_replaced(tables):
+                    return
+            except TopicNotFound as exc:
+                tables = _present_tables(tables, exc)
+        raise TableReplaced("a table was replaced while the topic was read")
 
     def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times."""
@@ -423,10 +425,7 @@ class FollowingReader:
 
 
 class TableReplaced(TopicNotFound):
-    """A table was replaced, or the topic got a new one, while blocks were read.
-
-    They have to be read again.
-    """
+    """A table was replaced while batches were read, which have to be read again."""
 
 
 def until_whole(work: Callable[[], _T]) -> _T:
@@ -436,56 +435,34 @@ def until_whole(work: Callable[[], _T]) -> _T:
             return work()
 
 
-def in_blocks(tables: Tables, read: Read) -> bool:
-    """Return whether the messages of a read are taken from whole blocks."""
-    return read.only is None and all(table.packed for table in tables)
-
-
-_log = logging.getLogger(__name__)
-
-
-def block_batches(
-    blocks: Iterable[tuple[BucketRead, OpenedBlock]],
+def portion_batches(
+    portions: Iterable[Portion],
     tables: Sequence[TopicTable],
-    *,
-    only_keys: bool = False,
-) -> Iterator[BlockBatch]:
-    """Yield the messages to read of blocks; large messages, each a batch of one, come last.
+    parts: PartsOf,
+    check: CheckOf | None = None,
+) -> Iterator[Batch]:
+    """Yield the messages of portions that satisfy a condition, as batches, in any order.
 
-    If only keys are needed, large messages are not read.
+    Args:
+        portions: The messages as they were read.
+        tables: Their tables.
+        parts: What is read of the messages that do not lie together.
+        check: The check of the condition; None = all messages satisfy it.
     """
+    read = chunks_ahead(_rows_and_batches(portions, tables))
+    return row_batches(read if check is None else _passing(read, check), parts)
+
+
+def _rows_and_batches(
+    portions: Iterable[Portion], tables: Sequence[TopicTable]
+) -> Iterator[StoredRow | StackedBatch]:
+    """Yield the messages of portions: those that lie together as batches, the others as rows."""
     by_name = {table.name: table for table in tables}
-    large: deque[StoredRow] = deque()
-    for bucket, opened in blocks:
-        table, block, row = by_name[bucket.table.name], opened.block, opened.row
-        if block is None or block.unpacked is None:
-            large += [StoredRow(table_row, table) for table_row in bucket.rows(opened)]
-            continue
-        places = opened.places
-        times, seqs = block.times[places], block.seqs[places]
-        mask = np.zeros(len(block), bool)
-        mask[places] = True
-        all_groups = [(g.members, planes_of(g.stored, g.rises)) for g in block.unpacked.groups]
-        groups = choose_groups(all_groups, mask)
-        unsure = None if opened.unsure is None else opened.unsure[places]
-        yield BlockBatch(table, bucket.node, row.writer, times, seqs, groups, unsure)
-    # Rows are dropped one by one, because each keeps the bytes that were read of it.
-    rows = (large.popleft() for _ in range(len(large)))
-    if only_keys:
-        yield from (_alone(row, ()) for row in rows)
-        return
-    for stored in chunks_ahead(rows):
-        try:
-            groups = [(np.zeros(1, np.int64), as_planes([stored.wire]))]
-        except MessageNotFound:
-            continue
-        except CorruptMessage as exc:
-            _log.warning("message %s of topic %s cannot be read: %s", stored.key, stored.topic, exc)
-            groups = []
-        yield _alone(stored, groups)
-
-
-def _alone(row: StoredRow, groups: Sequence[tuple[Int64Array, Planes]]) -> BlockBatch:
-    """Return a batch of one message; ``groups``: the message, or nothing."""
-    times, seqs = np.array([row.t], np.int64), np.array([row.seq], np.int64)
-    return BlockBatch(row.table, row.node, writer_of(row.seq), times, seqs, groups)
+    for portion in portions:
+        table = by_name[portion.table.name]
+        if len(portion.times):
+            groups = [(n, planes_of(stored, rises)) for n, stored, rises in portion.groups]
+            chosen = groups if portion.chosen is None else choose_groups(groups, portion.chosen)
+            times, seqs, unsure = portion.times, portion.seqs, portion.unsure
+            yield StackedBatch(table, portion.node, times, seqs, chosen, unsure)
+        yield from map(StoredRow, portion.rows, repeat(table))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import suppress
-from typing import Any, Iterable, Iterator, Sequence, Tuple, Union
+from typing import Any, Iterable, Iterator, Sequence, Tuple, TypeVar, Union
 
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -31,6 +31,7 @@ MessageIdentity = Tuple[int, str, int, str]
 """Key time (ns), node, seq and name of a message."""
 Key = Union[Stamp, RowName]
 """Key by which one stored message is found again: its time, or its name."""
+_Other = TypeVar("_Other")
 LARGE_AHEAD_BYTES = 8 * 1024 * 1024
 """Approximate maximum number of bytes of large messages that are requested or wait here."""
 AHEAD_ROWS = 64
@@ -221,8 +222,10 @@ def read_wire(table: TopicTable, row: TableRow, sent: SentRequest | None = None)
     return wire
 
 
-def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
+def chunks_ahead(rows: Iterable[StoredRow | _Other]) -> Iterator[StoredRow | _Other]:
     """Yield rows as they come, with the chunks of the next large ones requested ahead.
+
+    What is not a row is yielded at once.
 
     Only for readers that need the messages. The first large message is requested when its bytes are
     accessed. While every yielded message is accessed, more and more are requested ahead; after one
@@ -232,7 +235,7 @@ def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
     """Rows, and the number of bytes of each that have been requested."""
     ahead_bytes = budget = 0
     for row in rows:
-        if not (waiting or row.chunked):
+        if not isinstance(row, StoredRow) or not (waiting or row.chunked):
             yield row
             continue
         nbytes = row.size if row.chunked and budget else 0

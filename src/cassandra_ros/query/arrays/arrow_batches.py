@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 ARROW_BATCH_MESSAGES = 16384
-"""Maximum number of messages in a batch; those of one block may be more."""
+"""Maximum number of messages in a batch; those of one block or page may be more."""
 ARROW_BATCH_BYTES = 4 * 1024 * 1024
 """Size of serialised messages from which a batch ends, bytes."""
 FEW_FIELDS = 8

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Batches: messages of one table that are read together.
 
-The messages of a block are a batch; rows are cut into batches (``row_batches``). A batch has the
-keys of its messages, and either the messages or some of their columns. Which of them a reader needs
-of a table, it says with ``RowParts``. Messages lie in planes, so that a field of all of them is
-read at once.
+The messages of a block, or of a page of rows, are a batch; other rows are cut into batches
+(``row_batches``). A batch has the keys of its messages, and either the messages or some of their
+columns. Which of them a reader needs of a table, it says with ``RowParts``. Messages lie in planes,
+so that a field of all of them is read at once.
 """
 
 from __future__ import annotations
@@ -126,12 +126,11 @@ class Batch(ABC):
             begin = end
 
 
-class BlockBatch(Batch):
-    """Messages of a block: of one writer, in the order of time.
+class StackedBatch(Batch):
+    """Messages of one robot that lie together, as those of a block, in the order of the read.
 
     Args:
         node: nodeID of the messages.
-        writer: Writer id of the messages.
         groups: The messages by size.
         unsure: For each message whether the condition of the read has to be checked again, because
             the store is not sure; None = all have to be.
@@ -141,14 +140,13 @@ class BlockBatch(Batch):
         self,
         table: Table,
         node: str,
-        writer: int,
         times: Int64Array,
         seqs: Int64Array,
         groups: Sequence[tuple[Int64Array, Planes]],
         unsure: NDArray[np.bool_] | None = None,
     ) -> None:
-        super().__init__(table, times, seqs, (Owner(node, writer, len(times)),))
-        self._groups, self._unsure = groups, unsure
+        super().__init__(table, times, seqs, _writers_of(node, seqs))
+        self._node, self._groups, self._unsure = node, groups, unsure
 
     @property
     def size(self) -> int:
@@ -170,13 +168,12 @@ class BlockBatch(Batch):
                 wires[n] = data[k * size : (k + 1) * size]
         return wires
 
-    def only(self, mask: NDArray[np.bool_]) -> BlockBatch:
+    def only(self, mask: NDArray[np.bool_]) -> StackedBatch:
         """Return the batch of some of its messages: a bool for each."""
-        node, writer, _ = self.owners[0]
         groups = choose_groups(self._groups, mask)
-        return BlockBatch(self.table, node, writer, self.times[mask], self.seqs[mask], groups)
+        return StackedBatch(self.table, self._node, self.times[mask], self.seqs[mask], groups)
 
-    def passing(self, projection: Projection) -> BlockBatch:
+    def passing(self, projection: Projection) -> StackedBatch:
         """Return the batch of those messages that satisfy the condition of a projection."""
         unsure = np.ones(len(self), bool) if self._unsure is None else self._unsure
         if not unsure.any():
@@ -238,11 +235,19 @@ class RowBatch(Batch):
 
 def _owners(nodes: Sequence[str], seqs: Int64Array) -> Sequence[Owner]:
     """Return the owners of messages, from the nodeID and the ``_seq`` of each."""
-    writers = seqs >> COUNTER_BITS
-    if len(set(nodes)) == 1 and (writers == writers[0]).all():
-        return (Owner(nodes[0], int(writers[0]), len(nodes)),)
-    owned = groupby(zip(nodes, writers.tolist()))
+    if len(set(nodes)) == 1:
+        return _writers_of(nodes[0], seqs)
+    owned = groupby(zip(nodes, (seqs >> COUNTER_BITS).tolist()))
     return [Owner(node, writer, len(list(pairs))) for (node, writer), pairs in owned]
+
+
+def _writers_of(node: str, seqs: Int64Array) -> Sequence[Owner]:
+    """Return the owners of messages of one robot, from the ``_seq`` of each."""
+    writers = seqs >> COUNTER_BITS
+    if len(writers) and (writers == writers[0]).all():
+        return [Owner(node, int(writers[0]), len(writers))]
+    owned = groupby(writers.tolist())
+    return [Owner(node, writer, len(list(same))) for writer, same in owned]
 
 
 class RowParts:
@@ -359,15 +364,18 @@ def only_keys(table: Table) -> RowParts:
     return RowParts(table, ())
 
 
-def row_batches(rows: Iterable[Row], parts_of: PartsOf) -> Iterator[Batch]:
+def row_batches(rows: Iterable[Row | Batch], parts_of: PartsOf) -> Iterator[Batch]:
     """Yield rows as batches, without messages that were deleted meanwhile.
 
     The batches of a table are in the order of the rows; those of a table with few rows may come
-    last.
+    last. Batches among the rows are yielded as they come.
     """
     waiting: dict[str, _WaitingRows] = {}
     table: Table | None = None
     for row in rows:
+        if isinstance(row, Batch):
+            yield row
+            continue
         if row.table is not table:
             table = row.table
             if table.name not in waiting:

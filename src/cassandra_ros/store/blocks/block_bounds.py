@@ -7,9 +7,10 @@ from __future__ import annotations
 from typing import Iterator, NamedTuple, Sequence
 
 from cassandra_ros.store.blocks.block_row import HEADER_COLUMNS, BlockRow, read_block
-from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
+from cassandra_ros.store.blocks.block_stream import BucketRead
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.requests import PagedRead, RawRow
+from cassandra_ros.store.tables.table_layout import Portion
 
 PAGE_BLOCKS = 5000
 BOUNDS_BLOCKS_AT_ONCE = 16
@@ -47,9 +48,7 @@ def read_bounds(bucket: BucketRead, request: PagedRead) -> Iterator[BlockZones]:
             yield BlockZones(header, values[_WIDTH:])
 
 
-def open_blocks(
-    bucket: BucketRead, headers: Sequence[BlockRow]
-) -> Iterator[tuple[BucketRead, OpenedBlock]]:
+def open_blocks(bucket: BucketRead, headers: Sequence[BlockRow]) -> Iterator[Portion]:
     """Fetch and unpack blocks of a bucket with known headers.
 
     Blocks without messages to read, because they were deleted meanwhile, are left out.
@@ -58,4 +57,4 @@ def open_blocks(
         for row in bucket.blocks(bucket.fetch(headers[n : n + BOUNDS_BLOCKS_AT_ONCE]).page()):
             opened = bucket.open(row)
             if opened.left:
-                yield bucket, opened
+                yield bucket.portion(opened)

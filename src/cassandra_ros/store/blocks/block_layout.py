@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import repeat
 from typing import Iterator, Sequence
 
 from cassandra.query import PreparedStatement
@@ -34,6 +33,7 @@ from cassandra_ros.store.tables.table_layout import (
     BucketPlan,
     Finder,
     MessageKey,
+    Portion,
     Queries,
     Side,
     TableLayout,
@@ -65,15 +65,13 @@ class BlockLayout(TableLayout):
             return rows
         return _learn_rows(plan, read.chooser, rows)
 
-    def open_blocks(
-        self, plan: BucketPlan, read: Read, queries: Queries
-    ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-        """Request the first blocks of a bucket; return all of its blocks, each with its read."""
+    def portions(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
+        """Request the first blocks of a bucket; return the messages of one after the other."""
         bucket = self._bucket(plan, read, queries)
         blocks = opened(bucket)
         if read.chooser is not None and queries is not None:
             blocks = _learn_blocks(plan, read.chooser, blocks)
-        return zip(repeat(bucket), blocks)
+        return map(bucket.portion, blocks)
 
     def _bucket(
         self, plan: BucketPlan, read: Read, queries: Queries, *, bare: bool = False

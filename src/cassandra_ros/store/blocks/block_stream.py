@@ -44,6 +44,7 @@ from cassandra_ros.store.tables.row_table import (
     TableRow,
     encode_long,
 )
+from cassandra_ros.store.tables.table_layout import Portion
 
 _log = logging.getLogger(__name__)
 
@@ -168,6 +169,24 @@ class BucketRead:
         if opened.block is None:
             return [stand_in(self.table, self.node, opened.row)] * len(opened.places)
         return opened.block.rows(opened.places, bare=self.bare) if opened.left else []
+
+    def portion(self, opened: OpenedBlock) -> Portion:
+        """Return the remaining messages of a block; those that it does not hold itself as rows."""
+        block, places = opened.block, opened.places
+        if block is None or block.unpacked is None:
+            return Portion(self.table, self.node, self.rows(opened))
+        chosen = np.zeros(len(block), np.bool_)
+        chosen[places] = True
+        return Portion(
+            self.table,
+            self.node,
+            rows=(),
+            times=block.times[places],
+            seqs=block.seqs[places],
+            groups=[(group.members, group.stored, group.rises) for group in block.unpacked.groups],
+            chosen=chosen,
+            unsure=None if opened.unsure is None else opened.unsure[places],
+        )
 
 
 class OpenedBlock:

@@ -414,7 +414,7 @@ class Unpacked:
         """The messages by size, the smallest first; no bytes are copied."""
         groups: list[Group] = []
         at = 0
-        for members in _members(self.sizes):
+        for members in members_by_size(self.sizes):
             size, count = int(self.sizes[members[0]]), len(members)
             flat = np.frombuffer(self._body, np.uint8, size * count, at)
             at += size * count
@@ -621,7 +621,7 @@ def _decode(
     return messages, frozenset(as_rows), rises
 
 
-def _members(sizes: Longs) -> list[Longs]:
+def members_by_size(sizes: Longs) -> list[Longs]:
     """Return the positions of the messages of each size, the smallest first."""
     if len(sizes) and (sizes == sizes[0]).all():
         return [np.arange(len(sizes))]

@@ -31,6 +31,7 @@ from cassandra_ros.store.tables.table_layout import (
     BucketPlan,
     Finder,
     MessageKey,
+    Portion,
     Queries,
     Side,
     TableLayout,
@@ -67,6 +68,12 @@ class RowLayout(TableLayout):
         # The queries of a bucket share the memory of one.
         share = plan._replace(page_rows=max(1, plan.page_rows // max(1, len(queries))))
         return merged(plan, read, [RowStream(share, read, query) for query in queries])
+
+    def portions(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
+        """Request the first rows of a bucket; return them page by page, filtered ones together."""
+        if queries is None:
+            return RowStream(plan, read, _EVERY_ROW).portions()
+        return iter((Portion(plan.table, plan.node, self.open(plan, read, queries)),))
 
     def finder(self) -> Finder:
         """Return what requests a row by its position."""

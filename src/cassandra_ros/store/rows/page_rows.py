@@ -6,14 +6,16 @@ from __future__ import annotations
 
 import struct
 from itertools import repeat
-from typing import Any, Iterable, Iterator, NamedTuple, Sequence
+from typing import Any, Iterable, Mapping, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.store.blocks.codec import members_by_size
 from cassandra_ros.store.connection.protocol import Offsets, RawPage
 from cassandra_ros.store.tables.row_table import RowTable, TableRow
+from cassandra_ros.store.tables.table_layout import Portion, StoredPlanes
 
 MIN_BYTES = 4096
 """Minimum size of an answer, bytes. The rows of a smaller one are read faster one by one."""
@@ -63,29 +65,54 @@ class _Heads(NamedTuple):
     received: Iterable[int]
     """Receive time of each message, ns; -1 = it equals ``_t``."""
 
-    def rows(
-        self, node: str, table: str, wires: Sequence[bytes | None]
-    ) -> Iterator[TableRow | None]:
-        """Yield each row with its message; None if the row has to be read by itself."""
-        t, seq, conn, sizes = (self.values[name].tolist() for name in ("t", "seq", "conn", "size"))
+
+class PageRows:
+    """The rows of a page, whose messages were made together where that was possible."""
+
+    def __init__(
+        self,
+        table: RowTable,
+        node: str,
+        heads: _Heads,
+        wires: Sequence[bytes | None],
+        others: Mapping[int, TableRow],
+    ) -> None:
+        self._table, self._node, self._heads = table, node, heads
+        self._wires = wires
+        """The messages; None = the row was read by itself."""
+        self._others = others
+        """Rows that were read by themselves, by their number; without those that expired."""
+
+    def rows(self) -> Iterable[TableRow]:
+        """Return the rows in their order; a row has its message in place of the columns."""
+        values, wires = self._heads.values, self._wires
+        t, seq, conn, sizes = (values[name].tolist() for name in ("t", "seq", "conn", "size"))
         fixed = repeat(0), repeat(0), repeat(False), wires, repeat(()), repeat("")
-        head = t, repeat(node), seq, repeat(table), conn, sizes
+        head = t, repeat(self._node), seq, repeat(self._table.name), conn, sizes
         # The fields of a TableRow in their order.
-        fields = zip(*head, *fixed, self.received, repeat(None), repeat(0))
+        fields = zip(*head, *fixed, self._heads.received, repeat(None), repeat(0))
         rows = map(tuple.__new__, repeat(TableRow), fields)
-        if self.fits.all() and None not in wires and list(map(len, wires)) == sizes:  # type: ignore[arg-type]
+        if None not in wires:
             return rows
-        checked = zip(self.fits.tolist(), sizes, wires, rows)
-        return (
-            row if fits and wire is not None and len(wire) == size else None
-            for fits, size, wire, row in checked
+        all_rows = (
+            self._others.get(n) if wire is None else row
+            for n, (row, wire) in enumerate(zip(rows, wires))
         )
+        return filter(None, all_rows)
+
+    def portion(self) -> Portion:
+        """Return the rows as messages that lie together, and those that were read singly."""
+        values = self._heads.values
+        times, seqs = values["t"].astype(np.int64), values["seq"].astype(np.int64)
+        if self._others or None in self._wires:
+            made = np.array([wire is not None for wire in self._wires], bool)
+            times, seqs = times[made], seqs[made]
+        groups = _planes([wire for wire in self._wires if wire is not None])
+        return Portion(self._table, self._node, self._others.values(), times, seqs, groups)
 
 
-def rows_of_page(table: RowTable, node: str, page: RawPage) -> Sequence[TableRow] | None:
+def rows_of_page(table: RowTable, node: str, page: RawPage) -> PageRows | None:
     """Read a page of listings of all columns of a table with a time key.
-
-    A row has its message in place of the columns, if that could be made of them.
 
     Returns:
         The rows; None = the page has to be read row by row, by row_from_values.
@@ -98,21 +125,42 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Sequence[TableRow
     wires = table.encoder.decode_together(page.body, heads.begins, heads.ends, sizes)
     if wires.count(None) == len(wires):
         return None
-    rows: list[TableRow] = []
-    for n, row in enumerate(heads.rows(node, table.name, wires)):
-        if row is not None:
-            rows.append(row)
-            continue
+    wires = _checked(heads.fits, sizes, wires)
+    others: dict[int, TableRow] = {}
+    for n in [n for n, wire in enumerate(wires) if wire is None]:
         at = int(heads.starts[n])
         if page.end(at) != heads.ends[n]:
             return None  # the guess of the places was wrong, so it is for all later rows
         values = page.row(at)
         try:
             if not table.is_rest(values):
-                rows.append(table.row_from_values(node, values))
+                others[n] = table.row_from_values(node, values)
         except CorruptMessage:
             return None  # the error is raised when the row is read by itself
-    return rows
+    return PageRows(table, node, heads, wires, others)
+
+
+def _checked(
+    fits: NDArray[np.bool_], sizes: Offsets, wires: Sequence[bytes | None]
+) -> Sequence[bytes | None]:
+    """Return the messages of rows, with None for each whose row has to be read by itself."""
+    made = None not in wires and fits.all()
+    if made and list(map(len, wires)) == sizes.tolist():  # type: ignore[arg-type]
+        return wires
+    return [
+        wire if fit and wire is not None and len(wire) == size else None
+        for fit, size, wire in zip(fits.tolist(), sizes.tolist(), wires)
+    ]
+
+
+def _planes(wires: Sequence[bytes]) -> list[StoredPlanes]:
+    """Return messages by size."""
+    planes: list[StoredPlanes] = []
+    for members in members_by_size(np.fromiter(map(len, wires), np.int64, len(wires))):
+        same = wires if len(members) == len(wires) else [wires[n] for n in members.tolist()]
+        data = np.frombuffer(b"".join(same), np.uint8)
+        planes.append((members, data.reshape(len(same), len(same[0])).T, None))
+    return planes
 
 
 def _read_heads(page: RawPage, with_received: bool) -> _Heads | None:

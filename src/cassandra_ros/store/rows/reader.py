@@ -23,13 +23,11 @@ from typing import (
 )
 
 from cassandra_ros.read import Read
-from cassandra_ros.store.blocks.block_layout import BlockLayout
-from cassandra_ros.store.blocks.block_stream import BucketRead, OpenedBlock
 from cassandra_ros.store.connection.requests import GROWTH
 from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.directory import BucketRow, BucketWalk, Directory
 from cassandra_ros.store.tables.row_table import RowTable, TableRow
-from cassandra_ros.store.tables.table_layout import BucketPlan, Queries
+from cassandra_ros.store.tables.table_layout import BucketPlan, Portion, Queries
 
 PAGE_BYTES = 2 * 1024 * 1024
 """Approximate maximum size of a page, bytes."""
@@ -87,11 +85,9 @@ def _open_rows(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Table
     return layout_of(plan.table).open(plan, read, queries)
 
 
-def _open_blocks(
-    plan: BucketPlan, read: Read, queries: Queries
-) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-    """Request the first blocks of a bucket; return all of its blocks, each with its read."""
-    return BlockLayout(plan.table).open_blocks(plan, read, queries)
+def _open_portions(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
+    """Request the first messages of a bucket; return all of them as they come together."""
+    return layout_of(plan.table).portions(plan, read, queries)
 
 
 def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:
@@ -127,15 +123,15 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
             yield row
 
 
-def read_blocks(
+def read_portions(
     directory: Directory, tables: Sequence[RowTable], read: Read
-) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-    """Yield the blocks of several packed tables, bucket by bucket, in any order within a bucket.
+) -> Iterator[Portion]:
+    """Yield the messages of several tables as they come together, bucket by bucket.
 
-    Each comes with the read of its bucket. Columns of the read are ignored. Of a read with a
-    chooser come the blocks, and their messages, that it does not leave out.
+    Within a bucket they are in any order. Blocks are read whole, whatever the columns of the read.
+    Of a read with a chooser come the messages that it does not leave out.
     """
-    waiting = _BucketQueue(directory, tables, read, _open_blocks)
+    waiting = _BucketQueue(directory, tables, read, _open_portions)
     while waiting.has_next:
         yield from waiting.next_rows()
 

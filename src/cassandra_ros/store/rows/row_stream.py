@@ -19,7 +19,7 @@ from cassandra_ros.read import Query, Read
 from cassandra_ros.store.connection.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.connection.protocol import RawPage
 from cassandra_ros.store.connection.requests import PagedRead, RawRow
-from cassandra_ros.store.rows.page_rows import rows_of_page
+from cassandra_ros.store.rows.page_rows import PageRows, rows_of_page
 from cassandra_ros.store.tables.row_table import (
     KEYS,
     Order,
@@ -29,7 +29,7 @@ from cassandra_ros.store.tables.row_table import (
     encode_int,
     encode_orders,
 )
-from cassandra_ros.store.tables.table_layout import BucketPlan, ends_of
+from cassandra_ros.store.tables.table_layout import BucketPlan, Portion, ends_of
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +55,8 @@ class RowStream:
         columns = None if read.columns is None else read.columns(plan.table)
         self._columns = plan.table.columns if columns is None else columns
         # Conditions are checked on columns, so then whole pages are not made into messages.
-        self._together = columns is None and read.chooser is None
+        checked = read.chooser is not None and read.chooser.checks
+        self._together = columns is None and not checked
         self._partition_key = plan.table.partition_key(plan.node, plan.bucket)
         self._terms, indexed = query
         # To filter a row the server needs fewer columns than to return it. If few rows pass, only
@@ -106,10 +107,24 @@ class RowStream:
 
     def rows(self) -> Iterator[TableRow]:
         """Yield the rows in the order of reading."""
+        for page in self._pages():
+            yield from page.rows() if isinstance(page, PageRows) else page
+
+    def portions(self) -> Iterator[Portion]:
+        """Yield the rows as they come together."""
+        table, node = self._plan.table, self._plan.node
+        for page in self._pages():
+            if isinstance(page, PageRows):
+                yield page.portion()
+            else:
+                yield Portion(table, node, page)
+
+    def _pages(self) -> Iterator[PageRows | Iterable[TableRow]]:
+        """Yield the rows page by page, in the order of reading."""
         if self._turned:
             rows = self._read_turned()
             if rows is not None:
-                yield from sorted(rows, key=_bucket_order, reverse=True)
+                yield sorted(rows, key=_bucket_order, reverse=True)
                 return
             # All rows, from the newest on.
             self._asked = self._all("an index does not give its rows, or too many", None)
@@ -119,7 +134,7 @@ class RowStream:
                 for page in self._asked.pages():
                     if self._keyed and self._are_too_many(page):
                         break
-                    yield from self._rows_of(self._fetch(page) if self._keyed else page)
+                    yield self._rows_of(self._fetch(page) if self._keyed else page)
                     last = self._asked.last
                 else:
                     return
@@ -141,7 +156,7 @@ class RowStream:
         rows: list[TableRow] = []
         try:
             for page in self._asked.pages():
-                rows.extend(self._rows_of(page))
+                rows.extend(self._rows_one_by_one(page))
                 if len(rows) > TURNED_PAGES * self._plan.page_rows:
                     return None
         except DRIVER_ERRORS as exc:
@@ -149,16 +164,19 @@ class RowStream:
             return None
         return rows
 
-    def _rows_of(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
+    def _rows_of(self, values: Iterable[RawRow]) -> PageRows | Iterable[TableRow]:
         """Make rows of a page, or of some rows; leave out those of other writers, and expired ones.
 
-        Rows made with their messages (rows_of_page) have these in place of the columns.
+        The messages of a page are made together where possible.
         """
+        rows = None
+        if self._together and self._heads is None and isinstance(values, RawPage):
+            rows = rows_of_page(self._plan.table, self._plan.node, values)
+        return self._rows_one_by_one(values) if rows is None else rows
+
+    def _rows_one_by_one(self, values: Iterable[RawRow]) -> Iterable[TableRow]:
+        """Make the rows that ``_rows_of`` makes, each by itself."""
         table, node, heads = self._plan.table, self._plan.node, self._heads
-        if self._together and heads is None and isinstance(values, RawPage):
-            rows = rows_of_page(table, node, values)
-            if rows is not None:
-                return rows
         if heads is not None:
             values = (row for row in values if (row[1] or b"")[:4] in heads)
         if table.metadata.ttl:

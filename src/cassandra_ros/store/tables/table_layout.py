@@ -3,21 +3,30 @@
 """How the messages of a table lie in its rows, and what is asked of either way.
 
 A row holds one message (RowLayout in store/rows/layouts.py) or a block of messages (BlockLayout in
-store/blocks/block_layout.py); ``layout_of`` chooses. Readers get each message as a TableRow.
+store/blocks/block_layout.py); ``layout_of`` chooses. Readers get each message as a TableRow, in
+order, or many as a Portion.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Callable, Iterator, NamedTuple, Optional, Sequence
+from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple
 
+import numpy as np
 from cassandra.query import PreparedStatement
+from numpy.typing import NDArray
 
 from cassandra_ros.keys import Position
 from cassandra_ros.read import Query, Read, Writers
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
 from cassandra_ros.store.tables.row_table import MAX_SEQ, MIN_SEQ, Order, RowTable, TableRow
 
+Longs = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+StoredPlanes = Tuple[Longs, NDArray[np.uint8], Optional[Mask]]
+"""Messages of one size: their indices, a matrix (size, messages) whose row k holds byte k of each,
+and which rows are stored as differences; None = no row is."""
+_NONE: Longs = np.zeros(0, np.int64)
 Queries = Optional[Sequence[Query]]
 """Queries that return the rows of a bucket that may match; None = read all rows."""
 Answer = Callable[[], Optional[TableRow]]
@@ -40,6 +49,26 @@ class MessageKey(NamedTuple):
     """Whether its bytes are in the chunk table."""
     odd: bool
     """Whether some column does not hold its field exactly."""
+
+
+class Portion(NamedTuple):
+    """Messages of one robot that came together: those of a page of rows, or of a block."""
+
+    table: RowTable
+    node: str
+    rows: Iterable[TableRow]
+    """Those that do not lie together, and are read one by one."""
+    times: Longs = _NONE
+    """Key times of those that lie together, ns."""
+    seqs: Longs = _NONE
+    """``_seq`` of these."""
+    groups: Sequence[StoredPlanes] = ()
+    """The bytes of all messages that lie together, by size."""
+    chosen: Mask | None = None
+    """For each message in ``groups`` whether it is to be read; None = all are."""
+    unsure: Mask | None = None
+    """For each message to be read whether the condition of the read has to be checked again,
+    because the store is not sure; None = all have to be."""
 
 
 class BucketPlan(NamedTuple):
@@ -125,6 +154,10 @@ class TableLayout(ABC):
 
         The request is sent before this returns. A chooser of the read is told how many there were.
         """
+
+    @abstractmethod
+    def portions(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
+        """Like ``open``, but return the messages as they come together, in any order."""
 
     @abstractmethod
     def finder(self) -> Finder:

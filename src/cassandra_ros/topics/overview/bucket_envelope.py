@@ -35,7 +35,7 @@ from cassandra_ros.store.connection.requests import PagedRead
 from cassandra_ros.store.tables.row_table import MAX_SEQ, MIN_SEQ
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.overview.plot_columns import Column, as_floats
-from cassandra_ros.topics.row_reader import block_batches
+from cassandra_ros.topics.row_reader import portion_batches
 from cassandra_ros.topics.topic_table import TopicTable
 
 EDGES_AT_ONCE = 64
@@ -156,7 +156,8 @@ class PieceReader:
         envelope.sure.merge(earlier.sure)
         edges, envelope.edges = earlier.edges[:EDGES_AT_ONCE], earlier.edges[EDGES_AT_ONCE:]
         values = self._values(piece.table)
-        for batch in block_batches(open_blocks(self._blocks(piece), edges), [piece.table]):
+        portions = open_blocks(self._blocks(piece), edges)
+        for batch in portion_batches(portions, [piece.table], lambda _: values.parts):
             self._watch()
             values.add(batch)
         _drain(values, envelope.sure)
