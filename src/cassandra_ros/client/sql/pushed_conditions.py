@@ -4,7 +4,7 @@
 
 DuckDB checks every row again, so what is found here may only be weaker than the statement: bounds
 are included and moved outwards, and all else is left out. DuckDB compares unlike our own language:
-NaN is greater than all numbers (``ConditionChooser`` asks for it), and numbers are compared as
+NaN is greater than all numbers (``Pushdown`` is told), and numbers are compared as
 float32 where a field is one.
 
 A condition on a table holds for the rows that are read of it, unless the table is the right side of

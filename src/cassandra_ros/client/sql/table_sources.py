@@ -10,21 +10,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, Sequence
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
 
 from cassandra_ros.client.sql.event_names import EVENT, EventNames, has_event_field
 from cassandra_ros.client.sql.pushed_conditions import UNBOUNDED_READ, PushedRead
 from cassandra_ros.errors import InvalidName
-from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
-from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_record_batches
 from cassandra_ros.query.arrays.arrow_types import Wanted
-from cassandra_ros.query.plan.pushdown import Pushdown, Watch, nan_queries, unwatched
-from cassandra_ros.query.protocols import Table, UnpackedMessages
-from cassandra_ros.query.tree.syntax import Expression
-from cassandra_ros.read import Query, Read, Sift, Sifted, TimeRange, Whose
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch
+from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.keyspace import Keyspace
@@ -139,15 +133,14 @@ class TopicSource:
     def _batches(self, read: Read) -> Iterator[pyarrow.RecordBatch]:
         chooser = None
         if self.pushed.condition is not None:
-            chooser = ConditionChooser(self.pushed.condition, self.pushed.floats, self._watch)
-            self.choosers.append(chooser.pushdown)
+            nan, watch = self.pushed.floats, self._watch
+            chooser = Pushdown(self.pushed.condition, watch=watch, nan=nan)
+            self.choosers.append(chooser)
         for batch in self._read_events(read, chooser):
             self.messages += batch.num_rows
             yield batch
 
-    def _read_events(
-        self, read: Read, chooser: ConditionChooser | None
-    ) -> Iterator[pyarrow.RecordBatch]:
+    def _read_events(self, read: Read, chooser: Pushdown | None) -> Iterator[pyarrow.RecordBatch]:
         """Yield the messages of a read, with EVENT if there is this column."""
         if not self.has_events:
             yield from self._read(read, chooser)
@@ -164,7 +157,7 @@ class TopicSource:
                 arrays.insert(place, names.column(batch))
                 yield self.schema.arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
 
-    def _read(self, read: Read, chooser: ConditionChooser | None) -> Iterator[pyarrow.RecordBatch]:
+    def _read(self, read: Read, chooser: Pushdown | None) -> Iterator[pyarrow.RecordBatch]:
         chosen = replace(read, chooser=chooser)
         batches = partial(self._keyspace.rows.batches, self.tables, chosen)
         return read_record_batches(self.topic.name, self.schema, batches, self._watch)
@@ -206,80 +199,3 @@ class ListSource:
             for values, field in zip(columns, self.columns)
         ]
         return self._arrow.Table.from_arrays(arrays, schema=self.columns).__arrow_c_stream__()
-
-
-class ConditionChooser:
-    """Chooses for every bucket what the server checks; see Chooser in read.py.
-
-    In DuckDB NaN is greater than all numbers, so it satisfies a lower bound. Cassandra orders it in
-    the same way; zones leave it out, and list the fields with a NaN.
-
-    Args:
-        condition: The condition; None is always true.
-        floats: Paths of the float fields with a lower bound.
-        watch: Called repeatedly; an exception from it ends the read.
-
-    Attributes:
-        pushdown: Counts of buckets and blocks.
-    """
-
-    def __init__(
-        self, condition: Expression | None, floats: Iterable[str], watch: Watch = unwatched
-    ) -> None:
-        self.pushdown = Pushdown(condition, watch=watch)
-        self._floats = sorted(floats)
-
-    @property
-    def checks(self) -> bool:
-        """Whether there is a condition to check."""
-        return self.pushdown.checks
-
-    def choose(self, table: Table, bucket: Sequence[Any]) -> Sequence[Query] | None:
-        """Return the queries whose rows include all matching rows; None = read all rows."""
-        queries = self.pushdown.choose(table, bucket)
-        return None if queries is None else [*queries, *nan_queries(table, self._floats)]
-
-    def few(self, table: Table) -> bool:
-        """Return whether only few rows were found so far."""
-        return self.pushdown.few(table)
-
-    def learn(self, table: Table, bucket: Sequence[Any], rows: int) -> None:
-        """Record the number of rows found in a bucket."""
-        self.pushdown.learn(table, bucket, rows)
-
-    def sift(self, table: Table) -> Sift | None:
-        """Return the filter of blocks for a table; None if it would leave no message out."""
-        sift = self.pushdown.sift(table)
-        if sift is None or table.definition is None:
-            return sift
-        paths = {
-            name: column.field_type
-            for name, column in zone_map(table.definition).fields.items()
-            if name in self._floats and column.field_type in _FLOATS
-        }
-        if set(paths) != set(self._floats):
-            return None  # a field without zones, or of another type in this definition
-        finder = stacker(table.definition)
-        # The sift may check messages of any size by their heads, also those that fit no stack.
-        by_head = all(path in finder.head for path in paths)
-
-        def sift_but_nan(block: UnpackedMessages) -> Sifted:
-            """Keep also messages with a NaN in one of the fields; ``sift`` makes each mask anew."""
-            mask, _ = sift(block)
-            if mask is None:
-                return Sifted(None, None)
-            groups = [(planes_of(g.stored, g.rises), g.members) for g in block.groups]
-            if by_head:
-                stacks = [finder.heads(groups)]
-            else:
-                stacks = [stack for group in groups for stack in finder.stacks(*group)[0]]
-            for stack in stacks:
-                for path, base in paths.items():
-                    mask[stack.members] |= np.isnan(stack.numbers(path, base)).any(axis=0)
-            return Sifted(mask, None)
-
-        return sift_but_nan if paths else sift
-
-    def opened(self, table: Table, messages: int, kept: int) -> None:
-        """Record an unpacked block: its number of messages, and how many were kept."""
-        self.pushdown.opened(table, messages, kept)

@@ -12,7 +12,7 @@ no message out. ``compile_condition`` checks the messages again of which a mask 
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, NamedTuple, Sequence
+from typing import Any, Callable, Collection, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,13 +69,18 @@ _WHOLE = {"uint32": "time", "int32": "duration"}
 """Type of the field by the type of its secs and nsecs."""
 
 
-def compile_sift(expression: Expression, definition: Definition) -> Sift | None:
+def compile_sift(
+    expression: Expression, definition: Definition, nan: Collection[str] = ()
+) -> Sift | None:
     """Return the filter of blocks of one type; None if the condition leaves no message out.
 
     A message that is in no stack passes: it is malformed, or few messages have its layout.
+
+    Args:
+        nan: Paths of fields that satisfy a lower bound if they are NaN.
     """
     refs: list[FieldRef] = []
-    compiled, finder = _compile(expression, definition, refs), stacker(definition)
+    compiled, finder = _compile(expression, definition, refs, nan), stacker(definition)
     if compiled is None:
         return None
     test, is_exact = compiled
@@ -103,19 +108,21 @@ def _is_plain(ref: FieldRef) -> bool:
     return ref.index is None and not ref.is_array and not any(step.many for step in ref.steps)
 
 
-def _compile(expression: Expression, definition: Definition, refs: list[FieldRef]) -> _Test | None:
+def _compile(
+    expression: Expression, definition: Definition, refs: list[FieldRef], nan: Collection[str]
+) -> _Test | None:
     """Compile a condition to a test, and append the fields that it reads to ``refs``."""
     if isinstance(expression, Negation):
         return None
     if isinstance(expression, (All, Either)):
-        all_tests = [_compile(item, definition, refs) for item in expression.items]
+        all_tests = [_compile(item, definition, refs, nan) for item in expression.items]
         tests = [test for test in all_tests if test is not None]
         either, partly = isinstance(expression, Either), len(tests) < len(all_tests)
         if not tests or (either and partly):
             return None
         mask = _join([test.mask for test in tests], np.logical_or if either else np.logical_and)
         return _Test(mask, not partly and all(test.is_exact for test in tests))
-    return _leaf_test(expression, definition, refs)
+    return _leaf_test(expression, definition, refs, nan)
 
 
 def _join(tests: Sequence[_Mask], join: Any) -> _Mask:
@@ -128,7 +135,9 @@ def _join(tests: Sequence[_Mask], join: Any) -> _Mask:
     return test
 
 
-def _leaf_test(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | None:
+def _leaf_test(
+    leaf: Leaf, definition: Definition, refs: list[FieldRef], nan: Collection[str]
+) -> _Test | None:
     """Compile a leaf like _compile; None if it leaves no message out."""
     if isinstance(leaf, Quantified):
         return _quantifier_test(leaf, definition, refs)
@@ -149,8 +158,9 @@ def _leaf_test(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Tes
         return _NEVER  # this definition lacks the field, and a missing value never matches
     refs.append(ref)
     values = list(fitting(leaf, ref))
+    takes_nan = ref.column in nan and operator in (">", ">=") and ref.type in _FLOATS
     if not values:
-        return _NEVER
+        return None if takes_nan else _NEVER
     is_single = not any(step.many for step in ref.steps)
     if ref.type == "string":
         mask = _text_mask(ref, operator, [v for v in values if isinstance(v, str)])
@@ -164,6 +174,8 @@ def _leaf_test(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Tes
         compare = _one_of(dtype, numbers)
     else:
         compare = _comparison(dtype, operator, numbers[0])
+    if takes_nan:
+        compare = _or_nan(compare)
     return _Test(lambda stack: np.logical_or.reduce(compare(get(stack))), is_single)
 
 
@@ -210,6 +222,7 @@ def _elements_test(
 
 
 _NS = ("time", "duration")
+_FLOATS = ("float32", "float64")
 
 
 def _never(stack: Stack) -> Mask:
@@ -309,6 +322,10 @@ def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
     if above is None:
         return _all_false
     return (lambda x: x >= above) if closed else lambda x: x > above
+
+
+def _or_nan(compare: _Compare) -> _Compare:
+    return lambda numbers: compare(numbers) | np.isnan(numbers)
 
 
 def _all_true(numbers: NumberArray) -> Mask:

@@ -23,7 +23,18 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from operator import ge, gt, le, lt
-from typing import Any, Callable, Dict, Iterable, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import (
+    Any,
+    Callable,
+    Collection,
+    Dict,
+    Iterable,
+    NamedTuple,
+    Optional,
+    Protocol,
+    Sequence,
+    Tuple,
+)
 
 import numpy
 
@@ -332,6 +343,8 @@ class Pushdown:
         watch: Called repeatedly, see Watch.
         tables: The present tables of the topic, for which the filters of blocks are made now; for
             others they are made when they are needed.
+        nan: Paths of fields that satisfy a lower bound if they are NaN, as in SQL. Cassandra orders
+            NaN in the same way; zones leave it out, and list the fields with a NaN.
 
     Attributes:
         indexed: Number of buckets read by an index.
@@ -351,12 +364,14 @@ class Pushdown:
         plan: str = "auto",
         watch: Watch = unwatched,
         tables: Sequence[Table] = (),
+        nan: Collection[str] = (),
     ) -> None:
         if plan not in PLANS:
             raise ValueError(f"plan {plan!r} is not one of {', '.join(PLANS)}")
         self._expression = expression
         self._plan = plan
         self._watch = watch
+        self._nan = sorted(nan)
         # By the table itself: two stores may have tables of one name, with other indexes.
         self._branches: dict[Table, list[Branch] | None] = {}
         """See _branches."""
@@ -404,7 +419,7 @@ class Pushdown:
             self.filtered += 1
         else:
             self.skipped += 1
-        return queries
+        return queries if queries is None else [*queries, *_nan_queries(table, self._nan)]
 
     def few(self, table: Table) -> bool:
         """Return whether only few rows were found so far."""
@@ -434,7 +449,7 @@ class Pushdown:
         if table not in self._sifts:
             # The read of a bucket has these ends already, so they need no check of a message.
             items = [item for item in conjuncts(self._expression) if not bounds_time(item)]
-            self._sifts[table] = compile_sift(All(tuple(items)), table.definition)
+            self._sifts[table] = compile_sift(All(tuple(items)), table.definition, self._nan)
         return self._sifts[table]
 
     def opened(self, table: Table, messages: int, kept: int) -> None:
@@ -607,7 +622,7 @@ def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:
     return _checkable(table.definition, table.longest_text).get(ref.column)
 
 
-def nan_queries(table: Table, fields: Iterable[str]) -> list[Query]:
+def _nan_queries(table: Table, fields: Iterable[str]) -> list[Query]:
     """Return the queries of the blocks in which one of some fields has a NaN: zones leave it out.
 
     The list is empty for a table in which each message has its own row.
