@@ -416,8 +416,7 @@ class Projection:
             read = self.extractor.whole
             if read is None:
                 return None
-            show = _compile_show(self.shown, self.computed)
-            return _compile_wire_rows(read, self.own, self.check, show)
+            return _compile_wire_rows(read, self.own, self.check, self._show)
         direct = self.extractor.direct
         if direct is None or self.columns is None:
             return None
@@ -431,8 +430,12 @@ class Projection:
             count: _fills(list(zip(places, indices, direct)), self.checked)
             for count, indices in column_indices.items()
         }
-        show = _compile_show(self.shown, self.computed)
-        return _compile_rows(layouts, self.own, self.check, len(direct), show)
+        return _compile_rows(layouts, self.own, self.check, len(direct), self._show)
+
+    @cached_property
+    def _show(self) -> _Show:
+        """Function from a row and its values, which it may change, to a row of the result."""
+        return _compile_show(self.shown, self.computed)
 
     def own(self, row: Row) -> RowIdentity:
         """Return the values of a row that are not fields."""
@@ -520,30 +523,11 @@ class Projection:
         rows = None if compiled is None else compiled(row)
         if rows is not None:
             return rows
-        return (self._row(row, v) for v in self.values(row) if self.check(v) is True)
+        return (self._show(row, [*v]) for v in self.values(row) if self.check(v) is True)
 
     def complete(self, values: RowValues) -> RowValues:
         """Return the values of a row, followed by the computed ones."""
         return [*values, *[get(values) for get in self.computed]] if self.computed else values
-
-    def _row(self, row: Row, values: RowValues) -> ResultRow:
-        """Return the row of the result; ``_compile_show`` does the same for ``compiled``."""
-        values = self.complete(values)
-        cells: list[object] = []
-        cache: dict[int, object] = {}
-        for place, show in self.shown:
-            if place is None:
-                cells.append(None)
-            elif place == KEY_PLACE and show is None:
-                cells.append(row.key)
-            elif show is None:
-                cells.append(values[place])
-            else:
-                # A column that is selected twice is computed once.
-                if place not in cache:
-                    cache[place] = show(values[place])
-                cells.append(cache[place])
-        return tuple(cells)
 
 
 class Projections:

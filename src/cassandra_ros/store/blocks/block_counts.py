@@ -15,6 +15,7 @@ from cassandra_ros.store.blocks.block_row import (
     read_block,
     read_blocks,
 )
+from cassandra_ros.store.tables.directory import BucketTotals
 from cassandra_ros.store.tables.row_table import ALL, MAX_SEQ, MIN_SEQ, RowTable, encode_long
 
 PAGE_HEADERS = 5000
@@ -92,41 +93,28 @@ def count_part(
     return count + sum(len(block.between(*ends)) for block in blocks)
 
 
-class RemainingMessages:
-    """Number, bytes and time range of the messages that are left in a block.
+def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
+    """Count the messages of a bucket by writer id; only blocks with deleted messages are unpacked.
 
-    Args:
-        block: The block, unpacked. None = it is counted by its header: its bytes and its time range
-            include deleted messages, and ``largest`` is the mean.
-
-    Attributes:
-        largest: Size of the largest message, bytes; 0 = it is in chunks.
+    Of these the ones after a damaged block are counted by their headers: their bytes and time range
+    include deleted messages. ``largest`` of a block that is not unpacked is its mean.
     """
+    by_writer: dict[int, BucketTotals] = {}
 
-    def __init__(self, row: BlockRow, block: Block | None = None) -> None:
-        self.count, self.bytes = row.left, row.size
-        self.t_min, self.t_max = row.t, row.last
-        self.largest = 0 if row.nchunks else -(-row.size // max(row.messages, 1))
-        if block is None:
-            return
-        places = block.between(*ALL)
-        self.bytes = int(block.sizes[places].sum())
-        if len(places):
-            self.t_min, self.t_max = (int(block.times[places[n]]) for n in (0, -1))
-            self.largest = 0 if row.nchunks else int(block.sizes[places].max())
+    def add(row: BlockRow, block: Block | None = None) -> None:
+        nbytes, ends, largest = row.size, (row.t, row.last), -(-row.size // max(row.messages, 1))
+        if block is not None:
+            places = block.between(*ALL)
+            sizes, times = block.sizes[places], block.times[places]
+            nbytes, largest = int(sizes.sum()), int(sizes.max())
+            ends = int(times[0]), int(times[-1])
+        totals = by_writer.setdefault(row.writer, BucketTotals())
+        totals.add(row.left, nbytes, 0 if row.nchunks else largest, ends, row.odd)
 
-
-def measure(
-    table: RowTable, node: str, bucket: int
-) -> Iterator[tuple[BlockRow, RemainingMessages]]:
-    """Yield the counts of each block; only blocks with deleted messages are unpacked.
-
-    Of these the ones after a damaged block are counted by their headers.
-    """
     cut = []
     for row in headers(table, node, bucket):
         if not len(row.gone):
-            yield row, RemainingMessages(row)
+            add(row)
         elif row.left:
             cut.append(row)
     by_key = {row.key: row for row in cut}
@@ -134,8 +122,9 @@ def measure(
         for block in opened(table, node, bucket, iter(cut)):
             by_key.pop(block.row.key, None)
             if block.row.left:
-                yield block.row, RemainingMessages(block.row, block)
+                add(block.row, block)
     except CorruptMessage:
         # The headers still tell the number of messages.
         for row in by_key.values():
-            yield row, RemainingMessages(row)
+            add(row)
+    return by_writer

@@ -11,7 +11,7 @@ from cassandra.query import PreparedStatement
 
 from cassandra_ros.keys import Position
 from cassandra_ros.read import Chooser, Read, Writers
-from cassandra_ros.store.blocks.block_counts import count_part, measure
+from cassandra_ros.store.blocks.block_counts import count_part, recount
 from cassandra_ros.store.blocks.block_lookup import MessageFinder, answer_one, ask_one
 from cassandra_ros.store.blocks.block_stream import (
     EARLY_BLOCKS,
@@ -126,11 +126,7 @@ class BlockLayout(TableLayout):
 
     def recount(self, node: str, bucket: int) -> dict[int, BucketTotals]:
         """Count the messages of a bucket by writer id, by the headers of its blocks."""
-        by_writer: dict[int, BucketTotals] = {}
-        for block, rest in measure(self._table, node, bucket):
-            totals = by_writer.setdefault(block.writer, BucketTotals())
-            totals.add(rest.count, rest.bytes, rest.largest, (rest.t_min, rest.t_max), block.odd)
-        return by_writer
+        return recount(self._table, node, bucket)
 
 
 def _learn_blocks(
