@@ -15,9 +15,8 @@ from nodes.raw_publisher import header_of, message
 from std_msgs.msg import Int32
 
 from cassandra_ros.errors import InvalidKey, InvalidName, InvalidOption, StoreUnavailable
-from cassandra_ros.recording import event_writer
-from cassandra_ros.recording.event_marks import EventMarks, EventWatch, WatchedEvent
-from cassandra_ros.recording.event_writer import EventWriter
+from cassandra_ros.recording import event_marks
+from cassandra_ros.recording.event_marks import EventMarks, EventWatch, EventWriter, WatchedEvent
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.topic_settings import read_settings, recording_settings
@@ -166,7 +165,7 @@ def test_a_mark_that_cannot_be_stored_is_as_before(rosCas):
 
 
 def test_events_wait_for_the_store(rosCas, monkeypatch):
-    monkeypatch.setattr(event_writer, "RETRY_SEC", 0.01)
+    monkeypatch.setattr(event_marks, "RETRY_SEC", 0.01)
     store = Future()
     writer = EventWriter(store)
     marks = EventMarks(writer.put)
@@ -180,9 +179,9 @@ def test_events_wait_for_the_store(rosCas, monkeypatch):
 
 
 def test_events_that_are_lost_are_told(rosCas, monkeypatch, caplog):
-    monkeypatch.setattr(event_writer, "RETRY_SEC", 0.01)
-    monkeypatch.setattr(event_writer, "END_SEC", 0.1)
-    monkeypatch.setattr(event_writer, "MAX_WAITING", 2)
+    monkeypatch.setattr(event_marks, "RETRY_SEC", 0.01)
+    monkeypatch.setattr(event_marks, "END_SEC", 0.1)
+    monkeypatch.setattr(event_marks, "MAX_WAITING", 2)
     store = Future()
     store.set_exception(StoreUnavailable("away"))
     writer = EventWriter(store)

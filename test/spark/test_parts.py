@@ -23,10 +23,10 @@ from cassandra_ros.client.spark.part_plan import BucketRange, pack, plan_parts
 from cassandra_ros.client.spark.part_reader import (
     FrameSelection,
     PartReader,
+    StoreLogin,
     spark_batch,
     spark_schema,
 )
-from cassandra_ros.client.spark.store_login import StoreLogin
 from cassandra_ros.errors import (
     InvalidKey,
     InvalidOption,

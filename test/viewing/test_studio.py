@@ -20,7 +20,7 @@ import pytest
 
 from cassandra_ros.cli import viewer
 from cassandra_ros.errors import DownloadFailed
-from cassandra_ros.viewing import npm_registry, studio
+from cassandra_ros.viewing import studio
 
 MAP = b"\n//# sourceMappingURL=data:application/json;base64,AAAA"
 
@@ -92,7 +92,7 @@ def registry(monkeypatch, tmp_path):
     monkeypatch.setattr(studio, "_PAUSE_SEC", 0)
     monkeypatch.setenv("npm_config_registry", f"http://127.0.0.1:{server.server_port}/")
     monkeypatch.setenv("npm_config_userconfig", str(tmp_path / "npmrc"))
-    monkeypatch.setattr(npm_registry, "MACHINE_FILES", [tmp_path / "machine"])
+    monkeypatch.setattr(studio, "MACHINE_FILES", [tmp_path / "machine"])
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     monkeypatch.setenv("CASSANDRA_ROS_STUDIO", str(tmp_path / "home"))
     yield server
@@ -171,7 +171,7 @@ def test_the_registry_is_the_one_of_npms_configuration(registry, monkeypatch, tm
     with (tmp_path / "npmrc").open("a") as file:
         file.write('@foxglove:registry="https://scope.invalid/npm/"\n')
     monkeypatch.setenv("NPM_CONFIG_REGISTRY", "http://env.invalid")
-    asked = [npm_registry.tarball_address(each.name, each.version) for each in studio.PACKAGES[:2]]
+    asked = [studio.tarball_address(each.name, each.version) for each in studio.PACKAGES[:2]]
     assert asked == [
         "https://scope.invalid/npm/@foxglove/studio-base/-/studio-base-1.48.0.tgz",
         "http://env.invalid/react/-/react-17.0.2.tgz",
@@ -180,7 +180,7 @@ def test_the_registry_is_the_one_of_npms_configuration(registry, monkeypatch, tm
 
 def test_without_a_configuration_it_is_npms_usual_one(registry, monkeypatch):
     monkeypatch.delenv("npm_config_registry")
-    asked = [npm_registry.tarball_address(each.name, each.version) for each in studio.PACKAGES[:2]]
+    asked = [studio.tarball_address(each.name, each.version) for each in studio.PACKAGES[:2]]
     first, second = map(urlsplit, asked)
     assert first.scheme == second.scheme == "https"
     assert first.netloc == second.netloc != ""

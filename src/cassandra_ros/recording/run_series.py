@@ -15,7 +15,7 @@ from typing import Callable, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.arguments import check_run_name
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
-from cassandra_ros.recording.event_writer import EventWriter
+from cassandra_ros.recording.event_marks import EventWriter
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.recorder_options import RecorderOptions
 from cassandra_ros.recording.recording import Recording

@@ -54,7 +54,6 @@ from cassandra_ros.viewing import (
     event_routes,
     image_routes,
     look_routes,
-    mark_routes,
     timeline_routes,
 )
 from cassandra_ros.viewing.answers import Answer, Bytes, Json, StreamedBody
@@ -221,7 +220,7 @@ def _marks(call: ApiCall, stores: FleetAnswer) -> _Told:
             loss,
             key=lambda listed_loss: (listed_loss.last_ns, listed_loss.count),
         )
-    return mark_routes.listed_marks(call, _all_runs(stores), losses.values(), read)
+    return event_routes.listed_marks(call, _all_runs(stores), losses.values(), read)
 
 
 def _events(call: ApiCall, stores: FleetAnswer) -> _Told:

@@ -11,7 +11,6 @@ from cassandra_ros.viewing import (
     image_routes,
     look_routes,
     map_routes,
-    mark_routes,
     near_routes,
     timeline_routes,
     window_routes,
@@ -28,7 +27,6 @@ def _describe(call: ApiCall) -> Json:
 
 ROUTES: tuple[Route, ...] = (
     *catalog_routes.ROUTES,
-    *mark_routes.ROUTES,
     *event_routes.ROUTES,
     *timeline_routes.ROUTES,
     *ask_routes.ROUTES,

@@ -41,7 +41,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Iterator, Sequence
+from typing import TYPE_CHECKING, Iterator, Mapping, Sequence
 
 from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, tell_missing
 from cassandra_ros.cli.json_answer import add_json_option, print_json
@@ -63,6 +63,7 @@ from cassandra_ros.printable import format_duration, shown, shown_lines
 if TYPE_CHECKING:
     from cassandra_ros.files.bag.message_sample import MessageSample
     from cassandra_ros.store.tables.registry import Loss, LossKind, Run
+    from cassandra_ros.stores.fleet.fleet_info import FleetTopicInfo
     from cassandra_ros.topics.catalog import Catalog
     from cassandra_ros.topics.overview.timeline.lanes import Picture
     from cassandra_ros.topics.stored_totals import TopicInfo
@@ -206,7 +207,6 @@ def _tell_keyspaces(options: argparse.Namespace) -> int:
 
 
 def _tell_fleet(options: argparse.Namespace) -> int:
-    from cassandra_ros.cli.fleet_report import answer_of, print_infos
 
     with open_fleet(options) as fleet:
         present = fleet.topics()
@@ -214,10 +214,10 @@ def _tell_fleet(options: argparse.Namespace) -> int:
         infos = fleet.info(names, nodeID=options.node_id, run=options.run)
     missing = {**present.missing, **infos.missing}
     if options.yaml or options.json:
-        answer = _value_of_key(answer_of(infos, missing), options.key)
+        answer = _value_of_key(_fleet_answer(infos, missing), options.key)
         (_print_yaml if options.yaml else print_json)(answer)
     else:
-        print_infos(infos)
+        _print_fleet(infos)
     return tell_missing(missing)
 
 
@@ -447,3 +447,54 @@ def _print_yaml(answer: object) -> None:
         print(shown_lines(str(answer)))  # PyYAML would add the line '...'
     else:
         print(yaml.safe_dump(answer, sort_keys=False, allow_unicode=True), end="")
+
+
+_FLEET_HEADER = ("topic", "type", "format", "node", "messages", "size", "first", "last", "in")
+
+
+def _print_fleet(infos: Sequence[FleetTopicInfo]) -> None:
+    """Print a summary, and a line for each topic, type and robot."""
+    from cassandra_ros.messages.stamps import iso_time
+
+    firsts = [info.first_ns for info in infos if info.first_ns is not None]
+    lasts = [info.last_ns for info in infos if info.last_ns is not None]
+    if firsts and lasts:
+        print(f"duration:  {format_duration(max(lasts) - min(firsts))}")
+        print(f"start:     {iso_time(min(firsts))}")
+        print(f"end:       {iso_time(max(lasts))}")
+    print(f"size:      {format_bytes(sum(info.bytes for info in infos))}")
+    topics = counted(len({info.topic for info in infos}), "topic")
+    print(f"messages:  {sum(info.count for info in infos)} of {topics}, each counted once")
+    if infos:
+        print()
+        print(format_table(_FLEET_HEADER, list(map(_fleet_row, infos)), right=("messages", "size")))
+
+
+def _fleet_row(info: FleetTopicInfo) -> Sequence[str]:
+    from cassandra_ros.messages.stamps import iso_time
+
+    return (
+        shown(info.topic),
+        info.type,
+        ", ".join(info.formats),
+        shown(info.node) or "-",
+        str(info.count),
+        format_bytes(info.bytes),
+        "-" if info.first_ns is None else iso_time(info.first_ns),
+        "-" if info.last_ns is None else iso_time(info.last_ns),
+        ", ".join(f"{shown(name)} {count}" for name, count in info.stores.items()) or "-",
+    )
+
+
+def _fleet_answer(infos: Sequence[FleetTopicInfo], missing: Mapping[str, str]) -> dict[str, object]:
+    """Return the answer for YAML and JSON; ``missing`` is store → why it did not answer."""
+    topics = []
+    for info in infos:
+        topics.append({**asdict(info), "messages": info.count, "size": info.bytes})
+    return {
+        "messages": sum(info.count for info in infos),
+        "size": sum(info.bytes for info in infos),
+        "partial": bool(missing),
+        "missing": dict(missing),
+        "topics": topics,
+    }

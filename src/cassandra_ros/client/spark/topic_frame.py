@@ -9,8 +9,12 @@ from typing import Any, Iterable
 
 from cassandra_ros.arguments import check_integer, check_list, check_node
 from cassandra_ros.client.spark.part_plan import MAX_PART_BYTES, plan_parts
-from cassandra_ros.client.spark.part_reader import FrameSelection, PartReader, spark_schema
-from cassandra_ros.client.spark.store_login import StoreLogin
+from cassandra_ros.client.spark.part_reader import (
+    FrameSelection,
+    PartReader,
+    StoreLogin,
+    spark_schema,
+)
 from cassandra_ros.errors import InvalidName, MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Time

@@ -21,14 +21,13 @@ from cassandra_ros.client.sql.duck_database import (
     frames_table,
 )
 from cassandra_ros.client.sql.event_names import EVENT
-from cassandra_ros.client.sql.frame_source import FrameSource
 from cassandra_ros.client.sql.listed_tables import LISTED, listed_source
 from cassandra_ros.client.sql.pushed_conditions import UNBOUNDED_READ, pushed_reads
 from cassandra_ros.client.sql.python_values import python_rows
 from cassandra_ros.client.sql.sql_explanation import SqlExplanation, explain_source
 from cassandra_ros.client.sql.sql_statement import Params, SqlStatement, TableName
 from cassandra_ros.client.sql.table_columns import TableColumns
-from cassandra_ros.client.sql.table_sources import ListSource, TopicSource
+from cassandra_ros.client.sql.table_sources import FrameSource, ListSource, TopicSource
 from cassandra_ros.client.sql.topic_functions import (
     JOINT_FIELDS,
     NEAREST_COLUMNS,
