@@ -207,7 +207,6 @@ def _tell_keyspaces(options: argparse.Namespace) -> int:
 
 
 def _tell_fleet(options: argparse.Namespace) -> int:
-
     with open_fleet(options) as fleet:
         present = fleet.topics()
         names = topics_among(options, set(present), "the fleet")

@@ -31,8 +31,6 @@ from cassandra_ros.topics.keyspace import Keyspace
 if TYPE_CHECKING:
     import pyarrow
 
-_FLOATS = ("float32", "float64")
-
 
 class TopicSource:
     """The messages of a topic as a table.
