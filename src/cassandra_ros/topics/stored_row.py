@@ -22,6 +22,7 @@ from cassandra_ros.messages.classes import deserialize, deserialize_all
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.printable import public_names
+from cassandra_ros.query.arrays.batch import Batch
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.rows.fetch import ask_chunks, fetch_row, read_chunks
 from cassandra_ros.store.tables.row_table import BlockKey, SentRequest, TableRow
@@ -31,7 +32,7 @@ MessageIdentity = Tuple[int, str, int, str]
 """Key time (ns), node, seq and name of a message."""
 Key = Union[Stamp, RowName]
 """Key by which one stored message is found again: its time, or its name."""
-_Other = TypeVar("_Other")
+_Batch = TypeVar("_Batch", bound=Batch)
 LARGE_AHEAD_BYTES = 8 * 1024 * 1024
 """Approximate maximum number of bytes of large messages that are requested or wait here."""
 AHEAD_ROWS = 64
@@ -222,10 +223,10 @@ def read_wire(table: TopicTable, row: TableRow, sent: SentRequest | None = None)
     return wire
 
 
-def chunks_ahead(rows: Iterable[StoredRow | _Other]) -> Iterator[StoredRow | _Other]:
+def chunks_ahead(rows: Iterable[StoredRow | _Batch]) -> Iterator[StoredRow | _Batch]:
     """Yield rows as they come, with the chunks of the next large ones requested ahead.
 
-    What is not a row is yielded at once.
+    A batch among the rows is yielded at once.
 
     Only for readers that need the messages. The first large message is requested when its bytes are
     accessed. While every yielded message is accessed, more and more are requested ahead; after one
@@ -235,7 +236,7 @@ def chunks_ahead(rows: Iterable[StoredRow | _Other]) -> Iterator[StoredRow | _Ot
     """Rows, and the number of bytes of each that have been requested."""
     ahead_bytes = budget = 0
     for row in rows:
-        if not isinstance(row, StoredRow) or not (waiting or row.chunked):
+        if isinstance(row, Batch) or not (waiting or row.chunked):
             yield row
             continue
         nbytes = row.size if row.chunked and budget else 0
