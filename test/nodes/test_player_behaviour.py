@@ -89,7 +89,7 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     assert "were not recorded: buffer full" in child.output
 
 
-def test_a_peer_that_says_nothing_keeps_nobody_waiting(roscore, numbers, where):
+def test_a_peer_without_a_header_does_not_delay_others(roscore, numbers, where):
     with start_node(roscore, "player", *where, "-r", "100", "--wait-for-subscribers") as child:
         with socket.create_connection(find(roscore.uri, "/n", 60, None), 60):
             with RawSubscriber(roscore.uri, "/n", 60) as heard:

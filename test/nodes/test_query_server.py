@@ -126,7 +126,7 @@ def test_runs_are_told_apart(get, span, ask):
     assert "no run" in ask("select data from runs", run="morn")["message"]
 
 
-def test_a_peer_that_says_nothing_keeps_no_call_waiting(roscore, get):
+def test_a_peer_without_a_header_does_not_delay_calls(roscore, get):
     with socket.create_connection(find(roscore.uri, "/rosout", 60, "/cassandra_ros"), 60):
         assert get(topic="/fix", key=T0, timeout_sec=60)["success"]
 

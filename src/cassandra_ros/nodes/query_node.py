@@ -49,9 +49,9 @@ from cassandra_ros.nodes.ros_node import (
     await_master,
     bound_master_calls,
     forward_logging,
-    greet_apart,
     offer_services,
     own_name,
+    read_headers_on_threads,
     ros_time,
 )
 from cassandra_ros.query.tree.json_values import AnswerBound, from_json
@@ -137,7 +137,7 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
                 f"a node {full} runs already: stop it with rosnode kill {full}, "
                 "or give this one another name with __name:=other"
             )
-        greet_apart()
+        read_headers_on_threads()
         try:
             rospy.init_node(name, argv=list(argv))
         except rospy.ROSInitException as exc:

@@ -12,7 +12,7 @@ import contextlib
 import logging
 import threading
 import time
-from typing import Any, Callable, Iterator, NamedTuple
+from typing import Any, Callable, Iterable, Iterator, NamedTuple
 
 import rospy
 from rospy.core import is_shutdown_requested
@@ -74,17 +74,25 @@ def _own_registrations() -> _Registrations:
         return _Registrations(set(), set(), set())
     topics, services = get_topic_manager(), get_service_manager()
     with _held(topics.lock):
-        found = [topics.get_publications(), topics.get_subscriptions()]
+        publications, subscriptions = topics.get_publications(), topics.get_subscriptions()
     with _held(services.lock):
-        found.append(services.get_services())
-    return _Registrations(*({(str(name), str(what)) for name, what in pairs} for pairs in found))
+        offered = services.get_services()
+    return _Registrations(_texts(publications), _texts(subscriptions), _texts(offered))
+
+
+def _texts(registrations: Iterable[tuple[object, object]]) -> set[tuple[str, str]]:
+    """Return names with their types, or with their URIs, as texts."""
+    return {(str(name), str(kind)) for name, kind in registrations}
 
 
 @contextlib.contextmanager
-def _held(lock: threading.Condition) -> Iterator[None]:
-    """Hold a lock of rospy, which keeps it while it registers, until the master has answered."""
+def _held(lock: threading.Condition | threading.RLock) -> Iterator[None]:
+    """Hold a lock of rospy. rospy itself holds it during a registration with the master.
+
+    TimeoutError: a registration has not been answered within TIMEOUT_SEC.
+    """
     if not lock.acquire(timeout=TIMEOUT_SEC):
-        raise TimeoutError(f"a registration has waited for it for {TIMEOUT_SEC:g} s")
+        raise TimeoutError(f"a registration was not answered within {TIMEOUT_SEC:g} s")
     try:
         yield
     finally:

@@ -110,20 +110,20 @@ def await_master() -> None:
             signal.signal(number, handler)
 
 
-def greet_apart() -> None:
-    """Let rospy greet each peer on a thread of its own; call it before ``init_node``.
+def read_headers_on_threads() -> None:
+    """Let rospy read each connection header on a thread of its own; call it before ``init_node``.
 
-    rospy waits for the connection header of one peer after the other. A peer that connects and
-    sends none would keep all later ones from the topics and services of the node: one whose network
-    was lost at that moment, or one that takes the port for that of a node that has ended.
+    rospy waits for the header of one peer after the other. If a peer connects and sends no header,
+    all later peers would get neither topics nor services of the node. Such a peer may have lost its
+    network at that moment, or it looks for an ended node that had the same port.
     """
     server = tcpros_base.init_tcpros_server()
-    greet = server._tcp_server_callback
+    accept = server._tcp_server_callback
 
-    def greet_on_thread(sock: socket.socket, address: tuple[str, int]) -> None:
-        threading.Thread(target=greet, args=(sock, address), name="greet", daemon=True).start()
+    def accept_on_thread(sock: socket.socket, address: tuple[str, int]) -> None:
+        threading.Thread(target=accept, args=(sock, address), name="accept", daemon=True).start()
 
-    server._tcp_server_callback = greet_on_thread
+    server._tcp_server_callback = accept_on_thread
 
 
 def start_named_node(
@@ -148,7 +148,7 @@ def start_named_node(
     with own_name(default, argv) as (name, full_name, taken):
         # With a name on the command line rospy would not choose an anonymous one.
         words = [word for word in argv if not (taken and word.startswith(_NAME))]
-        greet_apart()
+        read_headers_on_threads()
         rospy.init_node(
             name,
             argv=words,

@@ -104,7 +104,7 @@ class PageRows:
         """Return the rows as messages that lie together, and those that were read singly."""
         values = self._heads.values
         times, seqs = values["t"].astype(np.int64), values["seq"].astype(np.int64)
-        if self._others or None in self._wires:
+        if None in self._wires:
             made = np.array([wire is not None for wire in self._wires], bool)
             times, seqs = times[made], seqs[made]
         groups = _planes([wire for wire in self._wires if wire is not None])

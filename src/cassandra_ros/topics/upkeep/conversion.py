@@ -5,8 +5,8 @@
 For each definition of the topic a new table is filled, which readers do not see yet. It is compared
 with the old tables message by message, and replaces them by one change of its comment
 (``store/tables/schema.py``). Some seconds later, when every client has read the comment, the old
-tables are dropped. A client that is reading one of them then goes on in the new table, or
-begins anew (``topics/row_reader.py``).
+tables are dropped. A client that reads rows of one of them then goes on in the new table; a read of
+batches ends with an error (``topics/row_reader.py``).
 """
 
 from __future__ import annotations
