@@ -27,6 +27,7 @@ from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.query.arrays import arrow_batches, batch
 from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.store.tables import replacement, schema
+from cassandra_ros.topics.row_reader import RowReader
 from cassandra_ros.topics.upkeep import conversion as convert
 from cassandra_ros.topics.upkeep import table_copy as copying
 
@@ -200,6 +201,37 @@ def test_arrays_are_read_again_where_a_table_was_dropped(rosCas, monkeypatch, so
     for where in (None, "header.seq >= 0"):
         found = topic.getArrays(["KEY", "header.seq"], where=where)
         assert sorted(zip(found["KEY"].tolist(), found["header.seq"].tolist())) == wanted
+    assert not targets
+
+
+@pytest.mark.parametrize("source", ["ros", "packed"])
+@pytest.mark.parametrize("begun", [False, True])
+def test_no_array_ends_early_where_a_dropped_table_is_no_longer_listed(
+    rosCas, monkeypatch, source, begun
+):
+    """The directory of the dropped table has no entries any more: there is no error to tell it."""
+    monkeypatch.setattr(batch, "ROW_BATCH_MESSAGES", 1)
+    years = [T0 + n * 365 * 86400 * SEC for n in range(9)]
+    with rosCas.messageWriter(format=source) as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"), bucket_ns=SEC)
+        for n, t in enumerate(years):
+            writer.write(handle, t, n, serialize(String(str(n))))
+    topic, targets = rosCas.getTopic("/t"), ["binary"]
+    batches = RowReader.batches
+
+    def convert():
+        if targets:
+            rosCas.convertTopic("/t", targets.pop())
+
+    def read(*args):
+        if not begun:
+            convert()
+        for each in batches(*args):
+            yield each
+            convert()
+
+    monkeypatch.setattr(RowReader, "batches", read)
+    assert topic.getArrays("data")["data"].tolist() == [str(n) for n in range(9)]
     assert not targets
 
 
