@@ -68,9 +68,9 @@ def runs(item):
     return SUITES.index(place) <= SUITES.index(SUITE)
 
 
-def sparing(values, kept):
-    """Parametrise with values of which make test asks only those kept, make test-all all."""
-    later = pytest.mark.suite("all", "make test asks others of its kind")
+def sparing(values, kept, suite="all"):
+    """Parametrise with values of which the smaller suites ask only those kept, ``suite`` all."""
+    later = pytest.mark.suite(suite, "smaller suites ask others of its kind")
     parts = [(value if isinstance(value, tuple) else (value,), value in kept) for value in values]
     return [pytest.param(*part, marks=[later] * (not here)) for part, here in parts]
 

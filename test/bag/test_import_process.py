@@ -172,7 +172,7 @@ def without_waits(errors):
 
 @pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.parametrize(
-    "signal_number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGTERM])
+    "signal_number", sparing([signal.SIGINT, signal.SIGTERM], [signal.SIGTERM], "campaign")
 )
 @pytest.mark.fault
 def test_a_signal_ends_an_import_and_the_next_completes_it(
@@ -196,7 +196,9 @@ def test_a_signal_ends_an_import_and_the_next_completes_it(
 
 
 @pytest.mark.suite("all", "it kills or cuts something, and waits")
-@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "signal_number", sparing([signal.SIGINT, signal.SIGTERM], [signal.SIGINT], "campaign")
+)
 @pytest.mark.fault
 def test_the_first_signal_ends_an_import_whose_store_is_silent(
     rosCas, cassandra, keyspace, cql, tmp_path, signal_number

@@ -41,7 +41,7 @@ def _place(message):
     return message.t_ns, number, position
 
 
-@pytest.mark.parametrize("form", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
+@pytest.mark.parametrize("form", sparing(FORMAT_NAMES, FEW_FORMATS, "campaign"))
 def test_order_and_headers_come_back(rosCas, tmp_path, form):
     path, rand, wires = tmp_path / "a.bag", random.Random(7), []
     with BagWriter(path, chunk_bytes=2000) as writer:

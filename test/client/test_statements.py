@@ -73,7 +73,7 @@ def rosCas(cassandra, cql):
     cql.execute(f"DROP KEYSPACE {name}")
 
 
-@pytest.fixture(scope="module", params=sparing(["ros", "binary"], kept=["ros"]))
+@pytest.fixture(scope="module", params=sparing(["ros", "binary"], ["ros"], "campaign"))
 def kept(request, rosCas):
     return Kept(rosCas, request.param)
 

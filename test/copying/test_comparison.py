@@ -15,7 +15,7 @@ from cassandra_ros.stores.copying.copy_status import copy_status
 from cassandra_ros.stores.copying.replicator import Replicator
 
 
-@pytest.mark.parametrize("there", sparing(FORMAT_NAMES, kept=FEW_FORMATS))
+@pytest.mark.parametrize("there", sparing(FORMAT_NAMES, FEW_FORMATS, "campaign"))
 @pytest.mark.parametrize("here", sparing(["ros", "packed"], kept=["packed"]))
 def test_copies_are_equal_in_any_format(rosCas, home, here, there):  # noqa: F811
     fill(rosCas, here, 60)

@@ -35,20 +35,27 @@ VARIANTS = (
     "connections_silent",
     "conversion_back_killed",
     "converted",
+    "copy_killed",
     "copy_killed_converting",
     "copy_killed_packed",
     "deletion_killed_packed",
     "import_killed_packed",
     "indexed",
+    "many_topics",
     "messages_deleted",
+    "network_silent",
     "other_topics_at_home",
     "recorder_killed_packed",
     "replicators_at_once",
+    "simulated_clock_set_back",
     "store_away_longer_than_the_buffer",
+    "store_comes_late",
+    "store_slow",
     "topic_renamed_on_both_sides",
     "truncated",
+    "type_changes",
 )
-"""Faults of which another one takes the same way through the code."""
+"""Faults of which another one, or a test of a recorder, takes the same way through the code."""
 
 
 def suite_of(fault):

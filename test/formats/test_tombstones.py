@@ -98,18 +98,18 @@ def test_a_null_is_seen_by_the_same_check(rosCas, cql):
     assert whole_buckets(cql, rosCas, "/a") == (2, 2, 1)
 
 
-@pytest.mark.suite("all", "150,000 messages")
+@pytest.mark.suite("all", "110,000 messages")
 @pytest.mark.parametrize("format_name", FEW_FORMATS)
-def test_a_bucket_is_read_after_150_000_deletions(rosCas, format_name):
+def test_a_bucket_is_read_after_110_000_deletions(rosCas, format_name):
     """Cassandra refuses a read that meets 100,000 tombstones."""
     with rosCas.messageWriter(format=format_name) as writer:
         connection = api_connection("/n", definition_of(Int64), "/x")
         handle = writer.connect(connection, bucket_ns=10**12)
-        for n in range(150_010):
+        for n in range(110_010):
             writer.write(handle, T0 + n, n, n.to_bytes(8, "little"))
     topic = rosCas.getTopic("/n")
-    assert topic.removeData(where="data < 75000") == 75_000
-    assert topic.removeData(T0 + 75_000, T0 + 149_999) == 75_000
+    assert topic.removeData(where="data < 55000") == 55_000
+    assert topic.removeData(T0 + 55_000, T0 + 109_999) == 55_000
     assert topic.countTopicData() == 10
-    assert [message.data for _, message in topic.items()] == list(range(150_000, 150_010))
+    assert [message.data for _, message in topic.items()] == list(range(110_000, 110_010))
     assert list(rosCas.executeCQL("SELECT count(*) FROM /n WHERE data >= 0")) == [(10,)]

@@ -141,7 +141,8 @@ def test_the_query_server_goes_on(store, roscore, cassandra):
         def ask(text, timeout=1.0 if not CAMPAIGN else 0.0):
             return client.call("/cassandra_ros/sql", statement=text, timeout=timeout)
 
-        for text in BAD_STATEMENTS:
+        # The viewer is asked all of them, above; they are answered by the same processes.
+        for text in BAD_STATEMENTS if CAMPAIGN else BAD_STATEMENTS[::4]:
             if "\ud800" not in text and "\0" not in text:  # no text of ROS
                 answer = ask(text)
                 assert answer["success"] or answer["message"], text[:100]

@@ -116,4 +116,4 @@ def test_http_requests(give, fresh):
             if status >= 400:
                 raise Refused(str(status))
 
-        give("HTTP requests", 200, attempt, within=lambda: viewer_of(store))
+        give("HTTP requests", 100, attempt, within=lambda: viewer_of(store))

@@ -98,7 +98,7 @@ def test_an_import_survives_its_server(cluster, tmp_path, caplog, how):
         assert sum(1 for _ in rosCas.readMessages()) == COUNT, told
 
 
-@pytest.mark.suite("all", "it kills a Cassandra")
+@pytest.mark.suite("campaign", "the fault table has a store that is killed under a recorder")
 @pytest.mark.fault
 @pytest.mark.parametrize("how", HOW)
 def test_a_recording_survives_its_server(roscore, cluster, how):

@@ -65,7 +65,7 @@ RENAMED = {"/rosout": "/turtle/rosout", "/rosout_agg": "/turtle/rosout_agg"}
 
 
 @pytest.mark.suite("test", "promise 1, with a real player")
-@pytest.mark.parametrize("fmt", sparing(["binary", "ros"], kept=["ros"]))
+@pytest.mark.parametrize("fmt", sparing(["binary", "ros"], ["ros"], "campaign"))
 def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, rosCas, fmt):
     expected = {}
     with rosbag.Bag(str(bags / PLAYED)) as bag:
@@ -228,7 +228,7 @@ def test_a_publisher_that_changes_its_type(roscore, recorder, rosCas):
 
 
 @pytest.mark.suite("test", "promise 3, with a real publisher")
-@pytest.mark.parametrize("form", sparing(FORMAT_NAMES, kept=["ros"]))
+@pytest.mark.parametrize("form", sparing(FORMAT_NAMES, ["ros"], "campaign"))
 def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
     child = recorder("/lost", "--format", form)
     text_ = "Header header\nfloat32[] ranges\nlost_msgs/Part part\n" + "=" * 80 + "\n"
@@ -317,7 +317,9 @@ def test_warnings_reach_rosout(roscore, recorder, rosCas):
 
 
 @pytest.mark.suite("test", "Ctrl-C loses nothing")
-@pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGINT]))
+@pytest.mark.parametrize(
+    "number", sparing([signal.SIGINT, signal.SIGTERM], [signal.SIGINT], "campaign")
+)
 def test_signals_drain(roscore, recorder, rosCas, number):
     sent = [message(String("y" * 1000 + str(n))) for n in range(5000)]
     child = recorder("/late")

@@ -295,7 +295,9 @@ NODES = {
 """Program that starts a node -> its arguments."""
 
 
-@pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGTERM]))
+@pytest.mark.parametrize(
+    "number", sparing([signal.SIGINT, signal.SIGTERM], [signal.SIGTERM], "campaign")
+)
 @pytest.mark.parametrize("name", sparing(list(NODES), kept=["recorder"]))
 def test_a_node_says_which_master_it_waits_for(ros_env, cassandra, rosCas, keyspace, name, number):
     """Its standard error is a pipe, as a log file is: nothing waits in a buffer."""

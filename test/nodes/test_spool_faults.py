@@ -19,7 +19,7 @@ from nodes.children import await_true, start_client, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of
 from proxy import Proxy
 from std_msgs.msg import UInt64
-from suites import SUITE
+from suites import SUITE, sparing
 
 from cassandra_ros.store.tables.registry import LossKind
 
@@ -100,7 +100,7 @@ def left_in(spool):
 
 
 @pytest.mark.fault
-@pytest.mark.parametrize("format", ["ros", "packed"])
+@pytest.mark.parametrize("format", sparing(["ros", "packed"], ["packed"], "campaign"))
 def test_a_recorder_that_is_killed(
     roscore, cassandra, keyspace, rosCas, one, memory, format, record_property
 ):

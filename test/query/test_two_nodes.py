@@ -69,7 +69,7 @@ class Fleet:
         return [tuple(map(canonical, row)) for row in result]
 
 
-@pytest.fixture(params=sparing(["ros", "binary"], kept=["ros"]))
+@pytest.fixture(params=sparing(["ros", "binary"], ["ros"], "campaign"))
 def fleet(request, rosCas):
     made = Fleet(rosCas, request.param)
     rosCas.getTopic("point").createIndex("point.x")

@@ -47,7 +47,7 @@ WAYS = [
         format,
         journal,
         marks=[IN_EVERY_RUN] * ((format, journal) == ("packed", False))
-        + [LATER] * (format == "binary"),
+        + [LATER] * ((format, journal) not in (("packed", False), ("ros", True))),
     )
     for format in FORMATS
     for journal in (False, True)
@@ -119,7 +119,7 @@ def test_a_store_that_goes_away_and_comes_back(proxy, store, rosCas, folder, for
 
 
 @pytest.mark.parametrize("journal", [False, True])
-@pytest.mark.parametrize("format", ["ros", pytest.param("binary", marks=LATER), "packed"])
+@pytest.mark.parametrize("format", sparing(FORMATS, ["packed"], "campaign"))
 def test_a_store_that_is_away_at_the_end(proxy, store, rosCas, folder, caplog, format, journal):
     recorder = Recording(
         store.catalog, format=format, node="husky", spool=SpoolPlan(folder, journal=journal)
@@ -244,7 +244,7 @@ def left_behind(proxy, store, folder, numbers, **options):
     return report
 
 
-@pytest.mark.parametrize("format", sparing(FORMATS, kept=["packed"]))
+@pytest.mark.parametrize("format", sparing(FORMATS, ["packed"], "campaign"))
 def test_what_is_drained_twice_ends_in_the_same_rows(
     proxy, store, rosCas, folder, tmp_path, format
 ):

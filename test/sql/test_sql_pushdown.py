@@ -302,7 +302,7 @@ def rows_of(table):
 @pytest.mark.suite("all", "a search; make test asks the unusual statements")
 @pytest.mark.search
 @settings(
-    max_examples=examples(400),
+    max_examples=examples(200),
     derandomize=True,
     deadline=None,
     database=None,

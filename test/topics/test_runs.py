@@ -201,7 +201,7 @@ def test_a_run_is_found_among_many_writers_of_one_bucket(rosCas):
 RUNS = {"morning": 100, "evening": 101, 102: 102, "103": 103}
 
 
-@pytest.fixture(scope="module", params=sparing(["ros", "binary"], kept=["ros"]))
+@pytest.fixture(scope="module", params=sparing(["ros", "binary"], ["ros"], "campaign"))
 def recorded(request, connect, keyspaces):
     with keyspaces.lend() as name, connect(keyspace=name) as store:
         made = Recorded(store, request.param)

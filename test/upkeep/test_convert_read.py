@@ -15,7 +15,7 @@ import time
 import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from suites import SUITE
+from suites import SUITE, sparing
 from upkeep.test_convert import SEC, T0, facts, fill, formats, joint_state, seen
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict
@@ -180,15 +180,7 @@ def convert_until(cassandra, keyspace, where, target):
 
 
 @pytest.mark.fault
-@pytest.mark.parametrize(
-    "target",
-    [
-        pytest.param(
-            "binary", marks=pytest.mark.suite("all", "a conversion is killed again and again")
-        ),
-        "packed",
-    ],
-)
+@pytest.mark.parametrize("target", sparing(["binary", "packed"], ["packed"], "campaign"))
 def test_one_that_is_killed_is_done_again(rosCas, cassandra, keyspace, monkeypatch, target):
     monkeypatch.setattr(convert, "QUIET_SEC", 0.0)
     fill(rosCas, "ros", 150)
