@@ -167,7 +167,9 @@ def patrol_topics():
 FILM_SEC = {"test": 30, "all": 100, "campaign": 3600}[SUITE]
 """How much is recorded, which is played in a tenth of the time."""
 HEAP_BYTES = 400 << 20
-RESIDENT_BYTES = 1500 << 20
+GROWTH_BYTES = 600 << 20
+"""How much more the browser may hold than when a tenth was played; what it held before that
+depends on the pages that it showed."""
 
 
 @pytest.mark.search
@@ -181,13 +183,17 @@ def test_memory_is_bounded_however_long_is_played(page, stored, connect, tmp_pat
     window = page("/look.html", topics=film.TOPIC, layout=packed(layout), **whole)
     studio = Studio(window)
     studio.press("Play")
-    heap = resident = 0
+    heap = 0
+    resident = []
     for part in range(1, 10):
         moment = film.START + part * FILM_SEC * 10**8
         studio.await_time(lambda now, moment=moment: now >= moment, timeout_sec=180 + FILM_SEC / 10)
-        heap, resident = max(heap, window.heap_bytes()), max(resident, window.resident_bytes())
+        heap = max(heap, window.heap_bytes())
+        resident.append(window.resident_bytes())
     # If pictures come faster than they can be drawn, some are not drawn, but all are read.
     assert int(studio.data("messages")) > 0.8 * FILM_SEC * film.RATE_HZ
-    record_property("told", f"{FILM_SEC} s at 10 x: heap {heap >> 20}, all {resident >> 20} MB")
+    growth = max(resident) - resident[0]
+    told = f"heap {heap >> 20}, all {max(resident) >> 20}, of which {growth >> 20} while it played"
+    record_property("told", f"{FILM_SEC} s at 10 x: {told} MB")
     assert heap < HEAP_BYTES
-    assert resident < RESIDENT_BYTES
+    assert growth < GROWTH_BYTES
