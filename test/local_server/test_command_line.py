@@ -201,7 +201,7 @@ def test_run_lets_clients_go_before_it_stops(env, tmp_path):
 
 @pytest.mark.suite("all", "it starts a Cassandra")
 @pytest.mark.parametrize(
-    "number", sparing([signal.SIGINT, signal.SIGTERM, signal.SIGKILL], [signal.SIGKILL], "campaign")
+    "number", sparing([signal.SIGINT, signal.SIGTERM, signal.SIGKILL], kept=[signal.SIGKILL])
 )
 def test_run_in_the_foreground_takes_the_server_along(env, tmp_path, number):
     process = subprocess.Popen(

@@ -361,7 +361,7 @@ def test_the_demo_over_tls_with_a_login(ros_env, tmp_path):
     assert "Nothing is left running." in done.stdout
 
 
-@pytest.mark.suite("campaign", "several Cassandras")
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_two_secure_nodes_and_a_later_start(tmp_path):
     options = {"port": free_port(), "nodes": 2, "heap": "512M"}
     cluster = LocalCluster(tmp_path / "two", secure=True, **options)

@@ -317,9 +317,7 @@ def test_warnings_reach_rosout(roscore, recorder, rosCas):
 
 
 @pytest.mark.suite("test", "Ctrl-C loses nothing")
-@pytest.mark.parametrize(
-    "number", sparing([signal.SIGINT, signal.SIGTERM], [signal.SIGINT], "campaign")
-)
+@pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGINT]))
 def test_signals_drain(roscore, recorder, rosCas, number):
     sent = [message(String("y" * 1000 + str(n))) for n in range(5000)]
     child = recorder("/late")
