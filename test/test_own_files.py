@@ -143,3 +143,38 @@ def test_a_file_that_is_being_written_is_always_a_new_one(tmp_path, make):
         stream.write("all")
     assert (tmp_path / "out.txt").read_text() == "all"
     assert (tmp_path / "victim").read_text() == "kept"
+
+
+@pytest.mark.parametrize("sync", [True, False])
+@pytest.mark.parametrize("private", [True, False])
+def test_a_whole_file_has_its_name_only_when_it_is_complete(tmp_path, private, sync):
+    path = tmp_path / "a.json"
+    path.write_text("old")
+    path.chmod(0o644)
+    with pytest.raises(RuntimeError, match="in the block"):
+        with own_files.whole_file(path, private=private, sync=sync) as file:
+            file.write(b"half")
+            raise RuntimeError("in the block")
+    assert path.read_text() == "old" and os.listdir(tmp_path) == ["a.json"]
+    draft = tmp_path / "draft"
+    with own_files.whole_file(path, draft, private=private, sync=sync) as file:
+        file.write(b"new")
+        assert path.read_text() == "old"
+        (tmp_path / "plain").touch()  # with the rights that the umask says
+        assert draft.stat().st_mode == (
+            0o100600 if private else (tmp_path / "plain").stat().st_mode
+        )
+        (tmp_path / "plain").unlink()
+    assert path.read_text() == "new" and os.listdir(tmp_path) == ["a.json"]
+
+
+def test_what_went_into_a_pipe_before_an_error_arrives(tmp_path):
+    """A pipe is no file: it gets the rows before the error, and keeps its name."""
+    os.mkfifo(tmp_path / "pipe")
+    with subprocess.Popen(["cat", tmp_path / "pipe"], stdout=subprocess.PIPE) as reader:
+        with pytest.raises(RuntimeError, match="in the block"):
+            with open_output(str(tmp_path / "pipe"), force=False, binary=False) as stream:
+                stream.write("a row\n")
+                raise RuntimeError("in the block")
+        assert reader.stdout.read() == b"a row\n"
+    assert os.listdir(tmp_path) == ["pipe"]

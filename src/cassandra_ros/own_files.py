@@ -13,8 +13,9 @@ import fcntl
 import os
 import pwd
 import stat
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO, Iterator
 
 _NO_FILE = (errno.ELOOP, errno.ENXIO)
 """Errors of opening a symbolic link, and a FIFO or a socket."""
@@ -117,17 +118,39 @@ def own_folder(path: Path) -> None:
         path.chmod(0o700)
 
 
-def new_file(path: Path) -> int:
-    """Make a file anew, for writing; return its descriptor. What had its name is deleted first.
+@contextmanager
+def whole_file(
+    path: Path, draft: Path | None = None, *, private: bool = False, sync: bool = True
+) -> Iterator[BinaryIO]:
+    """Write a file that gets its name only when it is complete.
 
-    Other users may read it, as the umask says.
+    An error, also one in the block, leaves what has the name as it was, and deletes the draft.
+
+    Args:
+        path: The file.
+        draft: Its name until it is complete, in the same folder; None = PATH.active. What has this
+            name is deleted first.
+        private: Whether only its owner can read it at any moment; else as the umask says.
+        sync: Whether it survives a power cut once it has its name.
 
     Raises:
-        OSError: It cannot be made, or what has its name cannot be deleted, as a file of another
-            user in /tmp.
+        OSError: It cannot be written, or what has the draft's name cannot be deleted, as a file of
+            another user in /tmp.
     """
-    path.unlink(missing_ok=True)
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    draft = path.with_name(f"{path.name}.active") if draft is None else draft
+    try:
+        draft.unlink(missing_ok=True)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        with open(os.open(draft, flags, 0o600 if private else 0o666), "wb") as file:
+            yield file
+            if sync:
+                file.flush()
+                os.fsync(file.fileno())
+        os.replace(draft, path)
+    except BaseException:
+        with suppress(OSError):
+            draft.unlink()
+        raise
 
 
 def _check_owner(path: Path, state: os.stat_result, *, root_may: bool = True) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -17,7 +18,7 @@ from cassandra_ros.cli.terminal_text import align, write_utf8
 from cassandra_ros.errors import CassandraRosError, InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
-from cassandra_ros.own_files import new_file
+from cassandra_ros.own_files import whole_file
 from cassandra_ros.printable import shown
 from cassandra_ros.query.arrays.array_types import ArrayType
 from cassandra_ros.query.tree.json_values import AnswerBound, json_value, least_bytes, to_json
@@ -320,22 +321,16 @@ def open_output(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]
     special = os.path.exists(path) and not os.path.isfile(path)
     if os.path.exists(path) and not special and not force:
         raise InvalidOption(f"{path} exists; choose another name, or replace it with --force")
-    active = path if special else f"{path}.active"
     try:
-        target = path if special else new_file(Path(active))
-        stream: IO[Any] = (
-            open(target, "wb") if binary else open(target, "w", encoding="utf-8", newline="")
-        )
+        with open(path, "wb") if special else whole_file(Path(path), sync=False) as file:
+            stream: IO[Any] = (
+                file if binary else io.TextIOWrapper(file, encoding="utf-8", newline="")
+            )
+            try:
+                yield stream
+            finally:  # into a pipe, also what was written before an error
+                stream.flush()
     except OSError as exc:
+        if isinstance(exc, (CassandraRosError, BrokenPipeError)):
+            raise
         raise InvalidOption(cannot_write(path, exc)) from exc
-    try:
-        with stream:
-            yield stream
-        if not special:
-            os.replace(active, path)
-    except BaseException as exc:
-        if not special:
-            os.unlink(active)
-        if isinstance(exc, OSError) and not isinstance(exc, (CassandraRosError, BrokenPipeError)):
-            raise InvalidOption(cannot_write(path, exc)) from exc
-        raise

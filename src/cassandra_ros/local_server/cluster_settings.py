@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.own_files import new_file, open_regular
+from cassandra_ros.own_files import open_regular, whole_file
 
 MAX_NODES = 3
 MIN_HEAP_MB = 256
@@ -133,12 +133,8 @@ def load_settings(directory: Path) -> ClusterSettings | None:
 
 def save_settings(directory: Path, settings: ClusterSettings) -> None:
     """Write the settings atomically: a crash leaves either the old or the new ones."""
-    draft = directory / _DRAFT
-    with open(new_file(draft), "w", encoding="utf-8") as file:
-        file.write(json.dumps(asdict(settings), indent=2) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(draft, directory / SETTINGS_FILE)
+    with whole_file(directory / SETTINGS_FILE, directory / _DRAFT) as file:
+        file.write(f"{json.dumps(asdict(settings), indent=2)}\n".encode())
 
 
 def change_settings(

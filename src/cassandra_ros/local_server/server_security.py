@@ -24,6 +24,7 @@ from cassandra_ros.local_server.cluster_settings import LOGIN_DIRECTORY, Cluster
 from cassandra_ros.local_server.cql import CqlSession, may_log_in
 from cassandra_ros.local_server.jars import module_options, server_file
 from cassandra_ros.local_server.processes import run_to_end
+from cassandra_ros.own_files import whole_file
 
 USER = "ros"
 """User of the programs. It has all rights in all keyspaces, and may make roles."""
@@ -290,14 +291,8 @@ class Security:
 
 def write_private(path: Path, text: str) -> None:
     """Write a file atomically; other users cannot read it at any moment."""
-    draft = path.with_name(path.name + ".draft")
-    draft.unlink(missing_ok=True)
-    number = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with open(number, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(draft, path)
+    with whole_file(path, private=True) as file:
+        file.write(text.encode("utf-8"))
 
 
 def _has_superuser(node: Path) -> bool:

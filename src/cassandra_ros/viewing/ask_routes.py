@@ -173,24 +173,7 @@ def _explain(call: ApiCall) -> Json:
     plan = call.store.statements.explain(
         statement_of(call), node=one_node(call), run=whose_of(call).writers, watch=watch_of(call)
     )
-    return {
-        "text": str(plan),
-        "topic": plan.topic,
-        "buckets": plan.buckets,
-        "indexed": plan.indexed,
-        "filtered": plan.filtered,
-        "whole": plan.whole,
-        "skipped": plan.skipped,
-        "server": list(plan.server),
-        "client": list(plan.client),
-        "rows_read": plan.rows_read,
-        "rows_returned": plan.rows_returned,
-        "blocks": plan.blocks,
-        "unpacked": plan.unpacked,
-        "sifted": plan.sifted,
-        "unread": plan.unread,
-        "counted": plan.counted,
-    }
+    return {"text": str(plan), **vars(plan)}
 
 
 def _complete(call: ApiCall) -> Json:

@@ -47,6 +47,7 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.parsers import Rare
 from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound, cannot_write
+from cassandra_ros.own_files import whole_file
 from cassandra_ros.printable import shown
 from cassandra_ros.quantities import factor, whole_number
 
@@ -220,12 +221,13 @@ def _given_values(**values: Any) -> dict[str, Any]:
 
 def _save(made: OccupancyMap, output: Path) -> list[str]:
     """Write the files of a map; return their names."""
-    from cassandra_ros.viewing.mapping.map_files import map_png, save_map, write_whole
+    from cassandra_ros.viewing.mapping.map_files import map_png, save_map
 
     try:
         if output.suffix != _PICTURE:
             return [str(path) for path in save_map(made, output)]
-        write_whole(output, map_png(made))
+        with whole_file(output) as file:
+            file.write(map_png(made))
         return [str(output)]
     except OSError as exc:
         raise InvalidOption(cannot_write(output, exc)) from exc

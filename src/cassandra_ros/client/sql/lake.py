@@ -14,9 +14,10 @@ import hashlib
 import json
 import logging
 import os
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, Mapping, NamedTuple
 from urllib.parse import quote
@@ -27,7 +28,7 @@ from cassandra_ros.client.sql.table_sources import TopicSource
 from cassandra_ros.errors import CorruptMessage, InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.own_files import lock_own, new_file
+from cassandra_ros.own_files import lock_own, whole_file
 from cassandra_ros.query.arrays.arrow_types import load_arrow
 from cassandra_ros.query.plan.pushdown import unwatched
 from cassandra_ros.query.tree.field_names import all_fields
@@ -231,23 +232,21 @@ class Lake:
         Without messages nothing is written, and a file that is there stays.
         """
         schema = source.schema.schema.with_metadata(_metadata(source.topic, source.tables))
-        active = path.with_name(f".{path.name}.active")
+        groups = (table for table in self._groups(source, schema) if table.num_rows)
+        first = next(groups, None)
+        if first is None:
+            return 0
         count = 0
+        draft = path.with_name(f".{path.name}.active")  # readers of a folder pass such names over
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with open(new_file(active), "wb") as file:
+            with whole_file(path, draft) as file:
                 with self._parquet.ParquetWriter(file, schema, compression="zstd") as writer:
-                    for table in self._groups(source, schema):
+                    for table in chain([first], groups):
                         writer.write_table(table.sort_by("KEY"), row_group_size=GROUP_ROWS)
                         count += table.num_rows
-            if count:
-                _sync(active)
-                os.replace(active, path)
         except OSError as exc:
             raise InvalidOption(cannot_write(path, exc)) from exc
-        finally:
-            with suppress(FileNotFoundError):
-                active.unlink()
         return count
 
     def _groups(self, source: TopicSource, schema: pyarrow.Schema) -> Iterator[pyarrow.Table]:
@@ -355,23 +354,12 @@ def _read_listing(folder: Path) -> dict[str, Any]:
     return listing if valid else {"files": {}}
 
 
-def _sync(path: Path) -> None:
-    """Sync a file to disk before it is renamed: a power cut could leave it empty."""
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
-
-
 def _write_listing(folder: Path, listing: Mapping[str, Any]) -> None:
     """Write the listing whole: a kill leaves the old one or the new one."""
-    active = folder / f"{LISTING}.active"
     try:
-        with open(new_file(active), "w", encoding="utf-8") as file:
-            json.dump(listing, file, indent=1)
-        _sync(active)
-        os.replace(active, folder / LISTING)
+        with whole_file(folder / LISTING) as file:
+            file.write(json.dumps(listing, indent=1).encode("utf-8"))
     except OSError as exc:
-        with suppress(OSError):
-            active.unlink()
         raise InvalidOption(cannot_write(folder / LISTING, exc)) from exc
 
 

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import io
 import os
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Sequence
 
 from cassandra_ros.errors import InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
-from cassandra_ros.own_files import new_file
+from cassandra_ros.own_files import whole_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -107,7 +106,7 @@ def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
         InvalidOption: The file cannot be written, or the format does not allow so large a picture.
             An existing file then stays.
     """
-    image, active = io.BytesIO(), Path(f"{os.fspath(path)}.active")
+    image = io.BytesIO()
     form = ENDINGS[Path(path).suffix.lower()]
     try:
         picture.save(image, form)
@@ -117,11 +116,8 @@ def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
             f"many for {form}; take .png, or fewer or smaller pictures ({exc})"
         ) from exc
     try:
-        with open(new_file(active), "wb") as file:
+        with whole_file(Path(path)) as file:
             file.write(image.getvalue())
-        os.replace(active, path)
     except OSError as exc:
-        with suppress(OSError):
-            active.unlink()
         raise InvalidOption(cannot_write(path, exc)) from exc
     return len(image.getvalue())

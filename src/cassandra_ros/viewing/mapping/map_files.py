@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ import yaml
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.installation import optional_module
-from cassandra_ros.own_files import new_file
+from cassandra_ros.own_files import whole_file
 from cassandra_ros.viewing.mapping.occupancy import OccupancyMap
 
 OCCUPIED_FROM = 65
@@ -68,7 +66,8 @@ def save_map(made: OccupancyMap, path: str | Path) -> tuple[Path, Path]:
     """
     image, description = map_paths(path)
     head = f"P5\n# {made.resolution:g} m a pixel\n{made.width} {made.height}\n255\n"
-    write_whole(image, head.encode("ascii") + trinary(made).tobytes())
+    with whole_file(image) as file:
+        file.write(head.encode("ascii") + trinary(made).tobytes())
     # For map_server a pixel is free if its darkness is below free_thresh. The darkness of the
     # grey for unknown is 0.19608.
     entries = {
@@ -80,20 +79,9 @@ def save_map(made: OccupancyMap, path: str | Path) -> tuple[Path, Path]:
         "free_thresh": 0.196,
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    write_whole(description, text.encode("utf-8"))
+    with whole_file(description) as file:
+        file.write(text.encode("utf-8"))
     return image, description
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file atomically: other processes see the old or the new file."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with open(new_file(draft), "wb") as file:
-            file.write(data)
-        draft.replace(path)
-    finally:
-        with suppress(FileNotFoundError):
-            draft.unlink()
 
 
 def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
