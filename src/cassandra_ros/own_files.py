@@ -138,10 +138,11 @@ def whole_file(
             another user in /tmp.
     """
     draft = path.with_name(f"{path.name}.active") if draft is None else draft
-    try:
-        draft.unlink(missing_ok=True)
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        with open(os.open(draft, flags, 0o600 if private else 0o666), "wb") as file:
+    draft.unlink(missing_ok=True)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    number = os.open(draft, flags, 0o600 if private else 0o666)
+    try:  # from here on the draft is ours to delete
+        with open(number, "wb") as file:
             yield file
             if sync:
                 file.flush()

@@ -8,6 +8,7 @@ After hours without a store it is asked again soon, and before that it is not as
 from __future__ import annotations
 
 import threading
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -15,8 +16,10 @@ from cassandra import OperationTimedOut
 from cassandra.connection import ConnectionBusy
 
 from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.store.connection import outage as outage_module
 from cassandra_ros.store.connection import requests, sessions
-from cassandra_ros.store.connection.requests import Flight, Patience, retried
+from cassandra_ros.store.connection.outage import Outage
+from cassandra_ros.store.connection.requests import LOOK_SEC, Flight, Patience, retried
 from cassandra_ros.store.connection.sessions import Link, Links
 
 DOUBLED_SEC = [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0, 5.0, 5.0]
@@ -28,12 +31,25 @@ class Clock:
 
     def __init__(self):
         self.now = 1000.0
+        self._calls = []
+        self.at_each_step = bool  # bool() has no effect
 
     def monotonic(self):
         return self.now
 
+    def calls_at(self, now, call):
+        """Call a function in the first sleep that ends then or later."""
+        self._calls.append((now, call))
+
     def sleep(self, seconds):
         self.now += seconds
+        self.at_each_step()
+        for now, call in self._calls:
+            if now <= self.now:
+                call()
+        self._calls = [(now, call) for now, call in self._calls if now > self.now]
+
+    time, strftime, localtime = time.time, time.strftime, time.localtime
 
 
 @pytest.fixture
@@ -82,24 +98,52 @@ def test_a_full_socket_is_waited_for_without_longer_pauses(clock):
     assert max(store.pauses) == pytest.approx(0.002)
 
 
-def test_a_statement_on_its_way_is_sent_again_at_least_every_5_s(clock, monkeypatch):
-    class Timer:
-        """Calls a function at once; the time of the pause goes by."""
+def by_retried(store, outage, seconds):
+    try:
+        retried("asking", store.ask, seconds=seconds, outage=outage)
+    except StoreUnavailable as exc:
+        return exc.__cause__
 
-        def __init__(self, seconds, work, args):
-            self._seconds, self._work, self._args = seconds, work, args
 
-        def start(self):
-            clock.sleep(self._seconds)
-            self._work(*self._args)
-
-    monkeypatch.setattr(requests.threading, "Timer", Timer)
-    store = Store(clock, float("inf"), OperationTimedOut("late"))
+def by_flight(store, outage, seconds):
     outcomes = []
-    Flight(store.ask, Patience(120)).submit(None, 1, outcomes.append)
-    assert [type(each) for each in outcomes] == [OperationTimedOut]
+    flight = Flight(store.ask, Patience(seconds), outage)
+    flight.submit(None, 1, outcomes.append)
+    flight.wait()
+    (outcome,) = outcomes
+    return outcome
+
+
+def test_a_statement_on_its_way_is_sent_again_at_least_every_5_s(clock):
+    store = Store(clock, float("inf"), OperationTimedOut("late"))
+    assert isinstance(by_flight(store, None, 120), OperationTimedOut)
     assert store.pauses[: len(DOUBLED_SEC)] == pytest.approx(DOUBLED_SEC)
     assert max(store.pauses) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("ask", [by_retried, by_flight])
+def test_a_request_is_sent_again_at_once_when_the_store_answers_another(clock, monkeypatch, ask):
+    """After an outage nothing waits for the rest of its pause: messages may be lost meanwhile."""
+    monkeypatch.setattr(outage_module, "time", clock)
+    outage = Outage("here")
+    store = Store(clock, float("inf"), OperationTimedOut("late"))
+    back = clock.now + sum(DOUBLED_SEC[:8]) + 1.0  # 4 s before the request would be sent again
+    clock.calls_at(back, outage.answered)
+    assert isinstance(ask(store, outage, 60), OperationTimedOut)
+    sooner, *later = store.asked[8:]
+    assert sooner < back < later[0] <= back + 2 * LOOK_SEC
+    pauses = [after - before for before, after in zip(later, later[1:])]
+    assert pauses[:7] == pytest.approx(DOUBLED_SEC[:7]), "it may not be back for good"
+
+
+@pytest.mark.parametrize("ask", [by_retried, by_flight])
+def test_a_request_that_fails_alone_keeps_its_pauses(clock, monkeypatch, ask):
+    monkeypatch.setattr(outage_module, "time", clock)
+    outage = Outage("here")
+    store = Store(clock, float("inf"), OperationTimedOut("late"))
+    clock.at_each_step = outage.answered  # others are answered all the time
+    assert isinstance(ask(store, outage, 60), OperationTimedOut)
+    assert store.pauses[: len(DOUBLED_SEC)] == pytest.approx(DOUBLED_SEC)
 
 
 def test_a_new_session_is_tried_at_least_every_30_s(clock, monkeypatch):

@@ -74,6 +74,15 @@ def _away(trial: Trial, *options: str) -> None:
     trial.await_normal()
 
 
+def store_away_at_the_end(trial: Trial) -> None:
+    """Cassandra cannot be reached when the recorder ends; what it leaves is stored afterwards."""
+    proxy, place = _proxied(trial)
+    _, publisher = trial.record("--spool-size", "100K", place=place)
+    publisher.await_share(0.2)
+    proxy.cut()
+    publisher.await_share(1.5)
+
+
 def store_slow(trial: Trial) -> None:
     """Each answer of Cassandra takes 2 s, and a connection carries 1 MB/s."""
     proxy, place = _proxied(trial)
@@ -196,6 +205,7 @@ FAULTS = (
     store_away_longer_than_the_buffer,
     store_away_with_a_spool,
     store_away_longer_than_the_spool,
+    store_away_at_the_end,
     store_slow,
     publisher_faster_than_the_store,
     connections_silent,

@@ -17,7 +17,6 @@ import os
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, Mapping, NamedTuple
 from urllib.parse import quote
@@ -233,8 +232,8 @@ class Lake:
         """
         schema = source.schema.schema.with_metadata(_metadata(source.topic, source.tables))
         groups = (table for table in self._groups(source, schema) if table.num_rows)
-        first = next(groups, None)
-        if first is None:
+        table = next(groups, None)
+        if table is None:
             return 0
         count = 0
         draft = path.with_name(f".{path.name}.active")  # readers of a folder pass such names over
@@ -242,9 +241,10 @@ class Lake:
             path.parent.mkdir(parents=True, exist_ok=True)
             with whole_file(path, draft) as file:
                 with self._parquet.ParquetWriter(file, schema, compression="zstd") as writer:
-                    for table in chain([first], groups):
+                    while table is not None:
                         writer.write_table(table.sort_by("KEY"), row_group_size=GROUP_ROWS)
                         count += table.num_rows
+                        table = next(groups, None)
         except OSError as exc:
             raise InvalidOption(cannot_write(path, exc)) from exc
         return count

@@ -63,6 +63,8 @@ class Outage:
         """Monotonic time at which hurry was called, s."""
         self._heard = 0.0
         """Monotonic time of the last answer since hurry was called, s."""
+        self.ended = 0
+        """Number of outages that are over."""
 
     def tell_reason(self, hint: Callable[[], str]) -> None:
         """Add to log lines the reason that ``hint`` returns; '' = no reason is known."""
@@ -157,6 +159,8 @@ class Outage:
             return
         with self._mutex:
             since, told_at = self._failing_since, self._told
+            if self.is_current:
+                self.ended += 1
             self._failing_since = self._silent_since = self._told = None
         if since is not None and told_at is not None:
             away = time.monotonic() - since

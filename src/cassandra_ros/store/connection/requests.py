@@ -120,6 +120,7 @@ def retried(
     next_pause = FIRST_PAUSE_SEC
     is_logged = False
     while True:
+        ended = _ended(outage)
         try:
             answer = call()
             if outage is not None:
@@ -145,14 +146,34 @@ def retried(
                     _log.warning("%s; trying again", translate(exc, what))
                 is_logged = True
                 next_pause = min(2 * next_pause, LAST_PAUSE_SEC)
-        _sleep(pause, outage)
+        if _pause(pause, outage, ended):
+            next_pause = FIRST_PAUSE_SEC
 
 
-def _sleep(seconds: float, outage: Outage | None) -> None:
-    """Sleep for ``seconds``, or until the waits of the program have to end."""
+def _ended(outage: Outage | None) -> int:
+    """Return the number of outages that are over."""
+    return 0 if outage is None else outage.ended
+
+
+def _pause(seconds: float, outage: Outage | None, ended: int) -> bool:
+    """Wait before a request that failed is sent again.
+
+    The wait is shorter if the waits of the program have to end, or the store answers again.
+
+    Args:
+        ended: Number of outages that were over before the request failed.
+
+    Returns:
+        Whether an outage has ended since the request failed.
+    """
     ends = time.monotonic() + seconds
-    while (rest_sec := ends - time.monotonic()) > 0 and (outage is None or outage.left_sec > 0):
+    while (
+        (rest_sec := ends - time.monotonic()) > 0
+        and (outage is None or outage.left_sec > 0)
+        and _ended(outage) == ended
+    ):
         time.sleep(min(rest_sec, LOOK_SEC))
+    return _ended(outage) != ended
 
 
 def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
@@ -417,7 +438,7 @@ class Flight:
 
     def _fail(self, exc: BaseException, request: _Request) -> None:
         """Send a request that failed again after a pause, or give it up."""
-        busy, now = is_busy(exc), time.monotonic()
+        busy, now, ended = is_busy(exc), time.monotonic(), _ended(self._outage)
         trying_sec = now - request.begun
         ends = now if self._is_over() else self._patience.ends(request.begun)
         if not (busy or is_passing(exc)) or now >= ends:
@@ -429,12 +450,17 @@ class Flight:
                 self._outage.failed(exc, trying_sec)
             pause, request.pause = request.pause, min(2 * request.pause, LAST_PAUSE_SEC)
         # The request still holds its place in the budget, so its retry never has to wait for one.
-        retry = threading.Timer(pause, self._launch, (request,))
-        retry.daemon = True
+        retry = threading.Thread(target=self._retry, args=(request, pause, ended), daemon=True)
         try:
             retry.start()
         except RuntimeError as no_thread:  # the process has its maximum number of threads
             self._end_request(request, no_thread)
+
+    def _retry(self, request: _Request, pause: float, ended: int) -> None:
+        """Send a request again after a pause, see ``_pause``."""
+        if _pause(pause, self._outage, ended):
+            request.pause = FIRST_PAUSE_SEC
+        self._launch(request)
 
     def _end_request(self, request: _Request, exc: BaseException | None) -> None:
         """Tell the outcome of a request, if that was not done, and make room for others.
