@@ -136,6 +136,19 @@ def test_a_request_is_sent_again_at_once_when_the_store_answers_another(clock, m
     assert pauses[:7] == pytest.approx(DOUBLED_SEC[:7]), "it may not be back for good"
 
 
+def test_a_statement_is_given_up_as_soon_as_its_time_is_shortened(clock):
+    """A recorder that ends leaves it in the spool: the user does not wait for the next attempt."""
+    store, patience = Store(clock, float("inf"), OperationTimedOut("late")), Patience(3600)
+    outcomes = []
+    flight = Flight(store.ask, patience)
+    hurried = clock.now + sum(DOUBLED_SEC[:8]) + 1.0  # 4 s before it would be sent again
+    clock.calls_at(hurried, lambda: patience.hurry(0.0))
+    flight.submit(None, 1, outcomes.append)
+    flight.wait()
+    assert [type(each) for each in outcomes] == [OperationTimedOut]
+    assert hurried <= store.asked[-1] <= hurried + 2 * LOOK_SEC
+
+
 @pytest.mark.parametrize("ask", [by_retried, by_flight])
 def test_a_request_that_fails_alone_keeps_its_pauses(clock, monkeypatch, ask):
     monkeypatch.setattr(outage_module, "time", clock)

@@ -155,13 +155,19 @@ def _ended(outage: Outage | None) -> int:
     return 0 if outage is None else outage.ended
 
 
-def _pause(seconds: float, outage: Outage | None, ended: int) -> bool:
+def _pause(
+    seconds: float,
+    outage: Outage | None,
+    ended: int,
+    is_over: Callable[[], bool] = bool,  # bool() is False
+) -> bool:
     """Wait before a request that failed is sent again.
 
     The wait is shorter if the waits of the program have to end, or the store answers again.
 
     Args:
         ended: Number of outages that were over before the request failed.
+        is_over: Returns whether the time of the request is over meanwhile.
 
     Returns:
         Whether an outage has ended since the request failed.
@@ -171,6 +177,7 @@ def _pause(seconds: float, outage: Outage | None, ended: int) -> bool:
         (rest_sec := ends - time.monotonic()) > 0
         and (outage is None or outage.left_sec > 0)
         and _ended(outage) == ended
+        and not is_over()
     ):
         time.sleep(min(rest_sec, LOOK_SEC))
     return _ended(outage) != ended
@@ -457,8 +464,12 @@ class Flight:
             self._end_request(request, no_thread)
 
     def _retry(self, request: _Request, pause: float, ended: int) -> None:
-        """Send a request again after a pause, see ``_pause``."""
-        if _pause(pause, self._outage, ended):
+        """Send a request again after a pause, see ``_pause``, or when its time is over."""
+
+        def is_over() -> bool:
+            return time.monotonic() >= self._patience.ends(request.begun)
+
+        if _pause(pause, self._outage, ended, is_over):
             request.pause = FIRST_PAUSE_SEC
         self._launch(request)
 
