@@ -27,6 +27,7 @@ GROUND = {
     "option",
     "quantities",
     "shared_options",
+    "yaml_text",
 }
 
 # The rooms, lowest first; a room imports no room that comes after it.
@@ -57,6 +58,7 @@ BELOW = {
     "option": set(),
     "quantities": {"errors"},
     "shared_options": {"arguments", "metadata", "option", "quantities"},
+    "yaml_text": {"errors"},
     "messages": set(),
     "messages/formats": {"messages"},
     "store/connection": set(),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hostile.inputs import GROWTH_MB, INPUT_SEC
 
-from cassandra_ros import own_files
+from cassandra_ros import own_files, yaml_text
 from cassandra_ros.cli import viewer
 from cassandra_ros.cli.recorder import make_parser
 from cassandra_ros.client.sql import (
@@ -29,7 +29,7 @@ from cassandra_ros.local_server.cluster_settings import ClusterSettings
 from cassandra_ros.messages import definition, shape
 from cassandra_ros.nodes import history_subscriber, query_node, ros_node, subscription
 from cassandra_ros.query.tree import json_values, parse
-from cassandra_ros.recording import place_keeper, recording, topic_settings
+from cassandra_ros.recording import place_keeper, recording
 from cassandra_ros.viewing import security, viewer_server, viewer_settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,7 +80,7 @@ FIGURES = [
     f"{viewer_settings.DEFAULT_CACHE_BYTES // 10**9} GB",
     f"{viewer.TOKEN_BYTES} bytes",
     f"{security.COOKIE_SEC // 86_400} days",
-    mib(topic_settings.MAX_CONFIG_BYTES),
+    mib(yaml_text.MAX_CONFIG_BYTES),
 ]
 
 

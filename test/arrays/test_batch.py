@@ -216,7 +216,7 @@ def test_a_batch_of_messages_that_lie_together_is_checked_where_the_store_is_not
         np.arange(count),
         (7 + np.arange(count) // 3) << 32,
         list(group_by_size(wires)),
-        None if unsure is None else np.array(unsure),
+        unsure=None if unsure is None else np.array(unsure),
     )
     assert block.wires == wires
     select = parse_select(f"SELECT KEY FROM /t WHERE {where}", ())

@@ -27,6 +27,7 @@ from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import PlayStream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 
 T0 = 1_500_000_000 * 10**9
 every_format = pytest.mark.parametrize("form", FORMAT_NAMES)
@@ -81,7 +82,8 @@ def by_writer(rosCas, tmp_path, messages, form):
 
 def by_recorder(rosCas, tmp_path, messages, form):
     times = iter(range(T0, T0 + len(messages)))
-    recorder = Recording(rosCas.catalog, format=form, clock=lambda: next(times))
+    settings = RecordingSettings(TopicSettings(form))
+    recorder = Recording(rosCas.catalog, settings=settings, clock=lambda: next(times))
     for fields, wire in messages:
         recorder.received("/t", fields, wire)
     assert sum(report.lost for report in recorder.close()) == 0

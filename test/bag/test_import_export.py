@@ -323,8 +323,6 @@ def test_an_empty_bag_is_an_import_of_nothing(rosCas, tmp_path, monkeypatch):
         with pytest.raises(MessageNotFound, match="holds none of these topics"):
             export_bag(rosCas, tmp_path / "out.bag")
     assert not (tmp_path / "out.bag").exists()
-    export_bag(rosCas, tmp_path / "out.bag", empty=True)
-    assert read_with_rosbag(tmp_path / "out.bag") == ([], [])
 
 
 def test_bags_that_cannot_be_read_store_nothing(rosCas, bags, tmp_path):

@@ -17,6 +17,7 @@ from suites import sparing
 from cassandra_ros.cli import options as store_options
 from cassandra_ros.cli import player, query_server, recorder, replicator
 from cassandra_ros.cli.options import add_store_options, store_place, strip_remappings
+from cassandra_ros.cli.safe_interrupt import SafeInterrupt
 from cassandra_ros.cli.terminal_text import (
     MessageBar,
     format_bytes,
@@ -25,7 +26,6 @@ from cassandra_ros.cli.terminal_text import (
     format_time,
     shown,
 )
-from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
 from cassandra_ros.printable import format_duration
 from cassandra_ros.store.connection.outage import HURRY_SEC, Outage

@@ -15,6 +15,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 from cassandra_ros.store.connection import cassandra as connection
 from cassandra_ros.store.connection import sessions as link
 
@@ -74,7 +75,8 @@ def test_an_import_goes_on_by_another_session(rosCas, connect, tmp_path, shut_do
 
 @pytest.mark.parametrize("shut_down", ENDS)
 def test_a_recording_goes_on_by_another_session(rosCas, connect, shut_down, caplog):
-    recording = Recording(rosCas.catalog, format="binary")
+    settings = RecordingSettings(TopicSettings("binary"))
+    recording = Recording(rosCas.catalog, settings=settings)
     wires = [serialize(String(str(n))) for n in range(2000)]
     for n, wire in enumerate(wires):
         if n in (500, 1500):

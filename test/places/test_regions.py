@@ -25,10 +25,10 @@ from cassandra_ros.places.paths import (
     LONGEST_GAP_NS,
     RobotPath,
     clip_ranges,
-    merge_ranges,
     subtract_ranges,
 )
 from cassandra_ros.places.regions import Box, DiskRegion, Polygon
+from cassandra_ros.query.plan.bounds import merge_ranges
 
 SEC = 10**9
 METRES = st.one_of(
@@ -165,6 +165,7 @@ def test_cells_cover_what_is_asked_for():
 
 def test_spans():
     assert list(merge_ranges([(0, 3), (4, 5), (7, 9), (8, 8)])) == [(0, 5), (7, 9)]
+    assert list(merge_ranges([(7, 9), (8, 8), (4, 5), (0, 3)])) == [(7, 9), (0, 5)]
     assert list(clip_ranges([(0, 3), (5, 9)], 2, 6)) == [(2, 3), (5, 6)]
     assert list(subtract_ranges([(0, 9), (20, 29)], [(2, 3), (5, 5), (9, 21)])) == [
         (0, 1),

@@ -36,7 +36,6 @@ def pace(hands):
 
 
 def test_it_stands_until_it_is_released(pace, hands):
-    assert pace.stands
     assert (pace.now(), pace.due_in(101 * SEC)) == (100 * SEC, None)
     pace.release(Pace.BEGIN)
     hands.ns += SEC

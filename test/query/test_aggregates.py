@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,12 +22,31 @@ ODD = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.
 
 
 def totals(values, names=NAMES):
-    """Each aggregate of the values, in two goes."""
+    """Each aggregate of the values, in two goes; as arrays, too, where these can hold them."""
+    totals_of_lists = two_goes(values, names)
+    for dtype in array_types(values):
+        assert repr(two_goes(np.array(values, dtype), names)) == repr(totals_of_lists)
+    return totals_of_lists
+
+
+def two_goes(values, names):
     found = Aggregation(parse_select(f"select {', '.join(f'{n}(x)' for n in names)} from t"))
-    rows = [(value,) * len(names) for value in values]
-    found.add(rows[: len(rows) // 2])
-    found.add(rows[len(rows) // 2 :])
+    found.add([values[: len(values) // 2]] * len(names))
+    found.add([values[len(values) // 2 :]] * len(names))
     return found.values()
+
+
+def array_types(values):
+    """numpy's types that hold all of the values exactly."""
+    kinds = set(map(type, values))
+    if kinds == {float}:
+        return [np.float64]
+    if kinds == {bool}:
+        return [bool]
+    if kinds == {int}:
+        ends = (np.iinfo(name) for name in ("i1", "i4", "u4", "i8", "u8"))
+        return [e.dtype for e in ends if e.min <= min(values) and max(values) <= e.max]
+    return []
 
 
 @search(200)

@@ -30,7 +30,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.rows.projection import Projections
-from cassandra_ros.query.rows.result_groups import analyse_select, make_groups
+from cassandra_ros.query.rows.result_groups import analyse_select, columns_of, make_groups
 from cassandra_ros.query.tree.parse import parse_select
 from cassandra_ros.topics.query_result import Condition
 
@@ -221,7 +221,7 @@ def made(statement, messages, nodes=""):
     tables = list({row.table.name: row.table for row in rows}.values())
     select = analyse_select(parse_select(statement), tables)
     projections = Projections(select, tables)
-    found = (one for row in rows for one in projections.of(row.table).rows(row))
+    found = (columns_of([one]) for row in rows for one in projections.of(row.table).rows(row))
     return list(make_groups(select, projections.names, found, select.limit))
 
 
@@ -317,8 +317,9 @@ def test_random_statements_without_a_database(name, caplog):
         select = analyse_select(parse_select(text, writer.params), tables)
         projections = Projections(select, tables)
         ordered = rows[::-1] if select.descending else rows
-        found = (one for row in ordered for one in projections.of(row.table).rows(row))
-        given_ = make_groups(select, projections.names, found, select.limit)
+        found = [one for row in ordered for one in projections.of(row.table).rows(row)]
+        parts = [columns_of(found[n : n + 7]) for n in range(0, len(found), 7)]
+        given_ = make_groups(select, projections.names, parts, select.limit)
         shown = [tuple(map(canonical, row)) for row in itertools.islice(given_, select.limit)]
         assert shown == statement.answer(messages), (text, writer.params)
         seen["gathered"] += select.gathers

@@ -20,6 +20,7 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 from cassandra_ros.topics.message_writer import MessageWriter
 
 HEADER = {
@@ -40,7 +41,8 @@ def recorded(rosCas, connect):
 
     class Recorded:
         def begin(self, form):
-            self.recording = Recording(rosCas.catalog, format=form)
+            settings = RecordingSettings(TopicSettings(form))
+            self.recording = Recording(rosCas.catalog, settings=settings)
             self.feeder = threading.Thread(target=self.feed, daemon=True)
             self.feeder.start()
 

@@ -39,6 +39,7 @@ from cassandra_ros.recording.message_buffer import (
 )
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.topic_counts import Counts
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 from cassandra_ros.store.tables.context_blob import NodeGraph, RunContext
 from cassandra_ros.store.tables.registry import LossKind
 
@@ -145,7 +146,8 @@ def test_any_definition_text(definition):
 
 
 def test_messages_are_stored_as_they_came(rosCas):
-    recorder = Recording(rosCas.catalog, format="ros", node="husky")
+    settings = RecordingSettings(TopicSettings("ros"))
+    recorder = Recording(rosCas.catalog, settings=settings, node="husky")
     header = header_of(String)
     before = time.time_ns()
     for n in range(500):
@@ -352,7 +354,7 @@ def test_only_the_end_gives_up(cassandra, keyspace, monkeypatch, failures, lost)
     ],
 )
 def test_headers_that_lack_or_lie(rosCas, header):
-    recorder = Recording(rosCas.catalog, format="ros")
+    recorder = Recording(rosCas.catalog, settings=RecordingSettings(TopicSettings("ros")))
     wires = [text(0), b"", bytes(range(256))]
     for wire in wires:
         recorder.received("/text", header, wire)

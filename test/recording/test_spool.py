@@ -34,7 +34,11 @@ from cassandra_ros.recording.message_buffer import LONGEST_BUCKET_NS
 from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.spool_drain import Drain, read_left
-from cassandra_ros.recording.topic_settings import RecordingSettings, settings_as_json
+from cassandra_ros.recording.topic_settings import (
+    RecordingSettings,
+    TopicSettings,
+    settings_as_json,
+)
 from cassandra_ros.store.tables.registry import LossKind
 
 pytestmark = pytest.mark.suite("all", "it kills or cuts something, and waits")
@@ -57,6 +61,10 @@ TOPICS = 30
 
 def text(n):
     return message(String(str(n)))
+
+
+def all_in(format):
+    return RecordingSettings(TopicSettings(format))
 
 
 @pytest.fixture
@@ -98,7 +106,8 @@ def drain(rosCas, folder):
 
 @pytest.mark.parametrize(("format", "journal"), WAYS)
 def test_a_store_that_goes_away_and_comes_back(proxy, store, rosCas, folder, format, journal):
-    recorder = Recording(store.catalog, format=format, spool=SpoolPlan(folder, journal=journal))
+    plan = SpoolPlan(folder, journal=journal)
+    recorder = Recording(store.catalog, settings=all_in(format), spool=plan)
     header = header_of(String)
     send(recorder, range(100), header=header)
     await_true(lambda: recorder.reports()[0].stored == 100)
@@ -121,9 +130,8 @@ def test_a_store_that_goes_away_and_comes_back(proxy, store, rosCas, folder, for
 @pytest.mark.parametrize("journal", [False, True])
 @pytest.mark.parametrize("format", sparing(FORMATS, ["packed"], "campaign"))
 def test_a_store_that_is_away_at_the_end(proxy, store, rosCas, folder, caplog, format, journal):
-    recorder = Recording(
-        store.catalog, format=format, node="husky", spool=SpoolPlan(folder, journal=journal)
-    )
+    plan = SpoolPlan(folder, journal=journal)
+    recorder = Recording(store.catalog, settings=all_in(format), node="husky", spool=plan)
     send(recorder, range(100))
     await_true(lambda: recorder.reports()[0].stored == 100)
     send(recorder, range(100, 200))
@@ -161,8 +169,8 @@ def await_out_of_memory(recorder):
 @pytest.mark.parametrize("ends", [False, True])
 def test_topics_that_begin_one_after_the_other(proxy, store, rosCas, folder, ends):
     """Each stays what it is, though the files name a connection more than once."""
-    plan = SpoolPlan(folder)
-    recorder = Recording(store.catalog, format="packed", clock=within_a_bucket(), spool=plan)
+    plan, settings, clock = SpoolPlan(folder), all_in("packed"), within_a_bucket()
+    recorder = Recording(store.catalog, settings=settings, clock=clock, spool=plan)
     sent = [0]
     send(recorder, sent, "/topic0")
     await_true(lambda: recorder.reports()[0].stored == 1)
@@ -201,8 +209,8 @@ def test_topics_that_begin_one_after_the_other(proxy, store, rosCas, folder, end
 
 def test_what_is_damaged_does_not_wait_on_disk_any_more(proxy, store, rosCas, folder):
     sent = iter(range(100_000, 200_000))  # all of one size
-    plan = SpoolPlan(folder)
-    recorder = Recording(store.catalog, format="binary", clock=within_a_bucket(), spool=plan)
+    plan, settings, clock = SpoolPlan(folder), all_in("binary"), within_a_bucket()
+    recorder = Recording(store.catalog, settings=settings, clock=clock, spool=plan)
     send(recorder, [next(sent)])
     await_true(lambda: recorder.reports()[0].stored == 1)
 
@@ -249,7 +257,7 @@ def test_what_is_drained_twice_ends_in_the_same_rows(
     proxy, store, rosCas, folder, tmp_path, format
 ):
     """The second drain stands for one after a drain that was killed just before its end."""
-    left_behind(proxy, store, folder, range(1, 2000), format=format)
+    left_behind(proxy, store, folder, range(1, 2000), settings=all_in(format))
     shutil.copytree(folder.path, tmp_path / "copy")
     (done,) = drain(rosCas, folder)
     rows = [(row.position, row.wire) for row in rosCas.getTopic("/text").rows()]
@@ -825,7 +833,8 @@ def test_a_run_that_begins_while_the_store_is_away(proxy, store, rosCas, folder)
 def test_a_store_that_comes_late(proxy, keyspace, rosCas, folder):
     """What came before it is on disk; tables and the run are made when it is there."""
     late: Future = Future()
-    recorder = Recording(late, format="packed", name="early", spool=SpoolPlan(folder))
+    settings, plan = all_in("packed"), SpoolPlan(folder)
+    recorder = Recording(late, settings=settings, name="early", spool=plan)
     send(recorder, range(2000))
     await_true(lambda: recorder.on_disk.messages == 2000)
     assert recorder.waiting()[0] == 2000

@@ -15,7 +15,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.query.arrays import batch
-from cassandra_ros.query.arrays.batch import StackedBatch, row_batches
+from cassandra_ros.query.arrays.batch import StackedBatch
 from cassandra_ros.query.arrays.table_values import TableValues
 from cassandra_ros.topics import row_reader
 from cassandra_ros.topics.row_reader import RowReader
@@ -55,10 +55,9 @@ def fill(rosCas, format="packed"):
     return rosCas.getTopic("/p")
 
 
-def row_by_row(reader, tables, read, parts, check):
-    """Read batches of a RowReader row by row, in order."""
-    rows = reader.read(tables, read)
-    return row_batches(rows if check is None else (r for r in rows if check(r.table).hit(r)), parts)
+def row_by_row(reader, tables, read, together):
+    """Read messages of a RowReader row by row."""
+    return reader.read(tables, read)
 
 
 @pytest.mark.parametrize("format", ["packed", "ros", "binary"])
@@ -91,7 +90,7 @@ def test_what_lies_together_gives_what_single_rows_give(rosCas, monkeypatch, for
     # Only the keys are needed here, but the condition needs large messages, too.
     counts = [topic.countTopicData(**options) for options in asked]
     assert topic.getArrays("seq")["seq"].count() == len(topic.getArrays("KEY")["KEY"]) - 3
-    monkeypatch.setattr(RowReader, "batches", row_by_row)
+    monkeypatch.setattr(RowReader, "in_order", row_by_row)
     single = topic.toArrow().read_all()
     assert sorted(map(str, whole.to_pylist())) == sorted(map(str, single.to_pylist()))
     for options, found, table, count in zip(asked, blocks, tables, counts):

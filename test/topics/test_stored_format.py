@@ -16,13 +16,14 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.topic_settings import RecordingSettings, TopicSettings
 
 HEADER = {"type": "std_msgs/String", "md5sum": STRING_MD5, "message_definition": "string data\n"}
 BROKEN = {**HEADER, "message_definition": "string data\nno_type\n"}
 
 
 def record(rosCas, folder, format):
-    recorder = Recording(rosCas.catalog, format=format)
+    recorder = Recording(rosCas.catalog, settings=RecordingSettings(TopicSettings(format)))
     recorder.received("/scan", HEADER, string_wire("recorded"))
     (report,) = recorder.close()
     assert report.stored == 1

@@ -21,9 +21,9 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.places.paths import subtract_ranges
 from cassandra_ros.read import TimeRange
 from cassandra_ros.store.tables.registry import Run
-from cassandra_ros.topics.upkeep.retention_rules import _gaps
 
 COUNT = 200
 STEP = SECOND_NS // 2
@@ -75,7 +75,7 @@ TIMES = st.integers(0, 40)
 @given(st.lists(st.tuples(TIMES, TIMES)), TIMES, TIMES)
 def test_gaps_are_all_that_is_not_pinned(pins, low, high):
     time_ranges = sorted(TimeRange(min(pin), max(pin)) for pin in pins)
-    gaps = list(_gaps(time_ranges, low, high))
+    gaps = list(subtract_ranges([(low, high)], time_ranges))
     covered = [t for gap in gaps for t in range(gap.low, gap.high + 1)]
     pinned = {t for pin in time_ranges for t in range(pin.low, pin.high + 1)}
     assert covered == [t for t in range(low, high + 1) if t not in pinned]

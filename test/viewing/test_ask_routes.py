@@ -186,7 +186,7 @@ def test_a_browser_that_goes_away_ends_the_reading(viewer, monkeypatch):
         finally:
             ended.set()
 
-    monkeypatch.setattr(QueryResult, "_read", endless)
+    monkeypatch.setattr(QueryResult, "_read_together", endless)
     monkeypatch.setattr(EnvelopeReader, "read", endless)
     for path in ("/api/query", "/api/explain", "/api/plot"):
         begun.clear()

@@ -120,7 +120,7 @@ def test_who_leaves_when_all_is_written_leaves_it_to_the_next(cache):
     with cache.lease("k", "r", "a.bag", closing) as lease:
         assert closing.begun.wait(PATIENCE_SEC)
     closing.go.set()
-    assert lease.entry.done.wait(PATIENCE_SEC)
+    assert lease.done.wait(PATIENCE_SEC)
     never = Writing()
     assert get(cache, never) == b"whole"
     assert never.count == 0
@@ -133,7 +133,7 @@ def test_what_is_written_anew_meanwhile_does_not_stay_twice(cache):
     second.let()
     assert get(cache, second) == b"own"
     closing.go.set()
-    assert lease.entry.done.wait(PATIENCE_SEC)
+    assert lease.done.wait(PATIENCE_SEC)
     assert [path.read_bytes() for path in cache._folder.glob("*/a.bag")] == [b"own"]
     assert get(cache, Writing()) == b"own"
 
@@ -227,7 +227,7 @@ def test_what_took_long_to_write_is_opened_before_it_goes(cache, monkeypatch):
     second.let()
     with cache.lease("a", "a", "a.bag", first) as lease:
         path = lease.wait(threading.Event())
-        lease.entry.used -= 2 * module._KEPT_SEC
+        lease.used -= 2 * module._KEPT_SEC
     with pytest.raises(StoreUnavailable, match="use all of their space"):
         get(cache, second, "b")
     assert path.read_bytes() == b"1" * 600

@@ -38,6 +38,20 @@ def print_json(answer: object) -> None:
     print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
 
+def tell(options: argparse.Namespace, answer: object, text: str) -> None:
+    """Print what a verb has to say: with --json the answer, else the text, unless -q is given.
+
+    Args:
+        options: The parsed options.
+        answer: A value that plain() accepts.
+        text: The same for people; '' = there is nothing to say.
+    """
+    if options.json:
+        print_json(answer)
+    elif text and not getattr(options, "quiet", False):
+        print(text)
+
+
 def plain(value: object) -> object:
     """Return a value in the types of JSON.
 

@@ -32,6 +32,7 @@ from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, tell_missing
 from cassandra_ros.cli.options import (
+    add_around_option,
     add_store_options,
     add_where_option,
     open_store,
@@ -105,12 +106,8 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     text = "only messages of this robot (default: all robots)"
     add("--node-id", metavar="N", help=text)
     add_where_option(group)
-    add(
-        "--around",
-        metavar="'TOPIC: CONDITION'",
-        help="play all topics, but only around the times at which a message of TOPIC satisfies "
-        "CONDITION (default: play everything)",
-    )
+    text = "play all topics, but only around the times at which a message of TOPIC satisfies "
+    add_around_option(group, text + "CONDITION (default: play everything)")
     text = "play only messages of a robot during its events of this name (default: of all time)"
     add("--event", metavar="NAME", help=text)
     text = "time to play before each of these messages (default: 5), or of the events (default: 0)"

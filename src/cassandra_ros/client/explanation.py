@@ -10,19 +10,10 @@ from typing import Iterator
 
 from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.tree.syntax import (
-    TIMED,
-    All,
-    Compare,
-    Either,
     Expression,
     FieldPath,
-    IsNull,
     Leaf,
-    Negation,
-    Quantified,
-    Relate,
     conjuncts,
-    given,
     inside,
     leaves,
     terms_of,
@@ -118,7 +109,7 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
         filtered=pushed.filtered,
         whole=pushed.whole,
         skipped=pushed.skipped,
-        server=tuple(f"{_leaf_text(leaf)} ({' and '.join(how)})" for leaf, how in ways.items()),
+        server=tuple(f"{leaf.text} ({' and '.join(how)})" for leaf, how in ways.items()),
         client=tuple(_unpushed(result.select.condition, set(ways))),
         rows_read=result.read,
         rows_returned=returned,
@@ -140,26 +131,4 @@ def _unpushed(condition: Expression | None, pushed: set[Leaf]) -> Iterator[str]:
         terms = chain.from_iterable(map(terms_of, leaves(conjunct)))
         has_fields = any(isinstance(inner, FieldPath) for term in terms for inner in inside(term))
         if has_fields and not pushed.intersection(leaves(conjunct)):
-            yield _condition_text(conjunct)
-
-
-def _condition_text(condition: Expression) -> str:
-    if isinstance(condition, (All, Either)):
-        word = " AND " if isinstance(condition, All) else " OR "
-        return f"({word.join(_condition_text(item) for item in condition.items)})"
-    if isinstance(condition, Negation):
-        return f"NOT {_condition_text(condition.item)}"
-    return _leaf_text(condition)
-
-
-def _leaf_text(leaf: Leaf) -> str:
-    """Return a comparison as text; of a long list of IN only the first five values."""
-    if isinstance(leaf, (Relate, Quantified, *TIMED)):
-        return leaf.text
-    if isinstance(leaf, IsNull):
-        return f"{leaf.operand.text} IS NULL"
-    values = [value.text for value in given(leaf)]
-    if isinstance(leaf, Compare):
-        return f"{leaf.operand.text} {leaf.operator} {values[0]}"
-    more = ", …" if len(values) > 5 else ""
-    return f"{leaf.operand.text} IN ({', '.join(values[:5])}{more})"
+            yield conjunct.text

@@ -16,12 +16,7 @@ from cassandra_ros.local_server.cluster_settings import load_settings
 from cassandra_ros.local_server.jars import default_directory
 from cassandra_ros.local_server.nodes import Node, nodes_of
 from cassandra_ros.local_server.preflight import log_since, log_size
-from cassandra_ros.local_server.processes import (
-    command_line,
-    find_server,
-    is_server,
-    read_start,
-)
+from cassandra_ros.local_server.processes import command_line, find_server, is_server, read_start
 
 LOW_BYTES = 64 << 20
 """Free space below which a disk counts as full, bytes. A commit log segment has 32 MiB."""

@@ -24,7 +24,50 @@ class KeyspaceAddress(NamedTuple):
     keyspace: str
 
 
-class Diagnostics:
+class StatusPublisher:
+    """A publisher of the entries of a node on /diagnostics.
+
+    Args:
+        hosts: Hosts of the store that the entries are about; '' = none are named.
+    """
+
+    def __init__(self, hosts: str = "") -> None:
+        self._hosts = hosts
+        self._name = rospy.get_name().lstrip("/")
+        self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
+
+    def send(self, stamp: rospy.Time, entries: list[DiagnosticStatus]) -> None:
+        """Publish entries with a time."""
+        array = DiagnosticArray()
+        array.header.stamp = stamp
+        array.status = entries
+        self._publisher.publish(array)
+
+    def entry(
+        self, level: bytes, what: str, text: str, values: Mapping[str, str]
+    ) -> DiagnosticStatus:
+        """Return the entry of a part of the node."""
+        pairs = [KeyValue(key, value) for key, value in values.items()]
+        return DiagnosticStatus(level, f"{self._name}: {what}", text, self._hosts, pairs)
+
+    def quota_entries(self, report: QuotaReport | None) -> list[DiagnosticStatus]:
+        """Return the entry of the maximum size of a store; [] = it has none.
+
+        It is WARN if what no other store has takes nearly all of the maximum size.
+        """
+        if report is None:
+            return []
+        level = DiagnosticStatus.WARN if report.nearly_full else DiagnosticStatus.OK
+        text = f"{report.share:.0%} of the maximum size is not copied"
+        values = {
+            "bytes": str(report.bytes),
+            "maximum bytes": str(report.max_bytes),
+            "bytes not copied": str(report.uncopied_bytes),
+        }
+        return [self.entry(level, "maximum size", text, values)]
+
+
+class Diagnostics(StatusPublisher):
     """A publisher of the status. Losses have level ERROR while they go on, then WARN.
 
     Args:
@@ -32,23 +75,17 @@ class Diagnostics:
     """
 
     def __init__(self, place: KeyspaceAddress) -> None:
-        self._hosts, self._keyspace = ",".join(place.hosts), place.keyspace
-        self._name = rospy.get_name().lstrip("/")
-        self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
+        super().__init__(",".join(place.hosts))
+        self._keyspace = place.keyspace
         self._lost_before: dict[str, int] = {}
         """Number of lost messages by topic at the last call of ``publish``."""
 
     def publish(self, status: RecordingStatus, rates: Rates) -> None:
         """Publish a status."""
-        array = DiagnosticArray()
-        array.header.stamp = rospy.Time.now()
-        array.status.append(self._of_store(status, rates))
-        if status.quota is not None:
-            level, text, values = quota_entry(status.quota)
-            array.status.append(self._status(level, "maximum size", text, values))
-        array.status += [self._of_topic(report, status, rates) for report in status.topics]
+        entries = [self._of_store(status, rates), *self.quota_entries(status.quota)]
+        entries += [self._of_topic(report, status, rates) for report in status.topics]
         self._lost_before = {report.topic: report.lost for report in status.topics}
-        self._publisher.publish(array)
+        self.send(rospy.Time.now(), entries)
 
     def _of_store(self, status: RecordingStatus, rates: Rates) -> DiagnosticStatus:
         """Return the entry of the store; of several reasons the last one below is shown."""
@@ -86,7 +123,7 @@ class Diagnostics:
             "stored": str(sum(report.stored for report in status.topics)),
             "lost": str(sum(lost.values())),
         }
-        return self._status(level, "store", text, values)
+        return self.entry(level, "store", text, values)
 
     def _of_topic(
         self, report: TopicReport, status: RecordingStatus, rates: Rates
@@ -114,30 +151,4 @@ class Diagnostics:
             "bytes/s": f"{nbytes:.0f}",
         }
         values.update({f"lost, {kind.value}": str(n) for kind, n in report.reasons.items()})
-        return self._status(level, report.topic, text, values)
-
-    def _status(
-        self, level: bytes, what: str, text: str, values: Mapping[str, str]
-    ) -> DiagnosticStatus:
-        pairs = [KeyValue(key, value) for key, value in values.items()]
-        return DiagnosticStatus(level, f"{self._name}: {what}", text, self._hosts, pairs)
-
-
-class QuotaEntry(NamedTuple):
-    """Level, text and values of an entry."""
-
-    level: bytes
-    text: str
-    values: Mapping[str, str]
-
-
-def quota_entry(report: QuotaReport) -> QuotaEntry:
-    """Return the entry: WARN if what no other store has takes nearly all of the maximum size."""
-    level = DiagnosticStatus.WARN if report.nearly_full else DiagnosticStatus.OK
-    text = f"{report.share:.0%} of the maximum size is not copied"
-    values = {
-        "bytes": str(report.bytes),
-        "maximum bytes": str(report.max_bytes),
-        "bytes not copied": str(report.uncopied_bytes),
-    }
-    return QuotaEntry(level, text, values)
+        return self.entry(level, report.topic, text, values)

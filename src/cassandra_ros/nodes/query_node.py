@@ -45,15 +45,7 @@ from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage, StoredTopic
 from cassandra_ros.nodes.mark_answer import pack_event, read_values
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.nodes.ros_node import (
-    await_master,
-    bound_master_calls,
-    forward_logging,
-    offer_services,
-    own_name,
-    read_headers_on_threads,
-    ros_time,
-)
+from cassandra_ros.nodes.ros_node import offer_services, ros_time, start_named_node
 from cassandra_ros.query.tree.json_values import AnswerBound, from_json
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
@@ -130,25 +122,7 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
         InvalidName: A node of the same name is running.
         KeyboardInterrupt, SystemExit: A signal came while it waited for a master.
     """
-    await_master()
-    with own_name("cassandra_ros", argv) as (name, full, taken):
-        if taken:  # two nodes of one name would replace each other's services
-            raise InvalidName(
-                f"a node {full} runs already: stop it with rosnode kill {full}, "
-                "or give this one another name with __name:=other"
-            )
-        read_headers_on_threads()
-        try:
-            rospy.init_node(name, argv=list(argv))
-        except rospy.ROSInitException as exc:
-            if not rospy.is_shutdown():
-                raise
-            # rospy handled a signal while it waited for a master.
-            raise KeyboardInterrupt from exc
-    forward_logging()
-    bound_master_calls()
-    parameters: dict[str, object] = rospy.get_param("~", {})
-    return parameters
+    return start_named_node("cassandra_ros", argv, signals=True, rostime=True, alone=True)
 
 
 def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool = False) -> None:

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, Callable, Iterator, Mapping, Sequence
 
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.errors import CassandraRosError, InvalidOption
@@ -35,21 +36,36 @@ _log = logging.getLogger(__name__)
 
 TOPIC_SERVICES = ("start", "stop", "pause", "resume")
 """Services that take names of topics. Each is called as its handler."""
-OTHER_SERVICES: Mapping[str, type] = {
-    "status": RecorderStatus,
-    "snapshot": Snapshot,
-    "mark": Mark,
+OTHER_SERVICES: Mapping[str, tuple[type, Callable[..., Any]]] = {
+    "status": (RecorderStatus, RecorderStatusResponse),
+    "snapshot": (Snapshot, SnapshotResponse),
+    "mark": (Mark, MarkResponse),
 }
-"""The other services with their classes."""
+"""The other services: class, and class of the response."""
 
 
 def services_of(recorder: Recorder) -> Iterator[tuple[str, type, Callable[..., object]]]:
     """Return the services of a recorder: of each its name, its class and its handler."""
     services = _Services(recorder)
     for name in TOPIC_SERVICES:
-        yield f"~{name}", RecordTopics, services.of_topics(getattr(services, name))
-    for name, kind in OTHER_SERVICES.items():
-        yield f"~{name}", kind, getattr(services, name)
+        handler = partial(_answer, getattr(services, name), services.topics_response)
+        yield f"~{name}", RecordTopics, handler
+    for name, (kind, response_class) in OTHER_SERVICES.items():
+        yield f"~{name}", kind, partial(_answer, getattr(services, name), response_class)
+
+
+def _answer(
+    handler: Callable[[Any], Any], response_class: Callable[..., Any], request: object
+) -> Any:
+    """Call a handler; answer ``success: false`` for every error in it."""
+    try:
+        return handler(request)
+    except CassandraRosError as exc:
+        return response_class(success=False, message=str(exc))
+    except Exception as exc:  # noqa: BLE001 - an error of the package must not end the node
+        _log.exception("a service of the recorder failed")
+        reason = f"internal error: {type(exc).__name__}: {exc}; the node's log has more"
+        return response_class(success=False, message=reason)
 
 
 @dataclass(frozen=True)
@@ -58,100 +74,75 @@ class _Services:
 
     recorder: Recorder
 
-    def of_topics(
-        self, work: Callable[[RecordTopicsRequest], None]
-    ) -> Callable[[RecordTopicsRequest], RecordTopicsResponse]:
-        """Return a handler that calls ``work`` and answers its error and the name of the run."""
+    def topics_response(self, success: bool = True, message: str = "") -> RecordTopicsResponse:
+        """Return an answer of RecordTopics, with the name of the run that is recorded now."""
+        return RecordTopicsResponse(success=success, message=message, run=self.recorder.run)
 
-        def handle(request: RecordTopicsRequest) -> RecordTopicsResponse:
-            problem = _attempt(lambda: work(request))
-            run = self.recorder.run
-            return RecordTopicsResponse(success=not problem, message=problem, run=run)
-
-        return handle
-
-    def start(self, request: RecordTopicsRequest) -> None:
+    def start(self, request: RecordTopicsRequest) -> RecordTopicsResponse:
+        """Answer RecordTopics for ~start."""
         labels = read_labels(request.labels)
         self.recorder.start(request.topics, name=request.name, labels=labels)
+        return self.topics_response()
 
-    def stop(self, request: RecordTopicsRequest) -> None:
+    def stop(self, request: RecordTopicsRequest) -> RecordTopicsResponse:
+        """Answer RecordTopics for ~stop."""
         self.recorder.stop(request.topics)
+        return self.topics_response()
 
-    def pause(self, request: RecordTopicsRequest) -> None:
+    def pause(self, request: RecordTopicsRequest) -> RecordTopicsResponse:
+        """Answer RecordTopics for ~pause."""
         self.recorder.pause(request.topics)
+        return self.topics_response()
 
-    def resume(self, request: RecordTopicsRequest) -> None:
+    def resume(self, request: RecordTopicsRequest) -> RecordTopicsResponse:
+        """Answer RecordTopics for ~resume."""
         self.recorder.resume(request.topics)
+        return self.topics_response()
 
     def status(self, request: RecorderStatusRequest) -> RecorderStatusResponse:
         """Answer RecorderStatus."""
-        response = RecorderStatusResponse(success=True)
-
-        def work() -> None:
-            status = self.recorder.status()
-            response.state, response.run, response.writer = status.state, status.run, status.writer
-            response.topics = [_pack(report, status) for report in status.topics]
-            response.held_bytes, response.bound_bytes = status.held_bytes, status.bound_bytes
-            disk = status.on_disk
-            response.spooled_messages, response.spooled_bytes = disk.messages, disk.nbytes
-            response.behind_seconds = disk.behind_sec
-            response.held_seconds = status.held_sec
-            response.held_messages = status.held_messages
-
-        response.message = _attempt(work)
-        response.success = not response.message
-        return response
+        status = self.recorder.status()
+        return RecorderStatusResponse(
+            success=True,
+            state=status.state,
+            run=status.run,
+            writer=status.writer,
+            topics=[_pack(report, status) for report in status.topics],
+            held_bytes=status.held_bytes,
+            bound_bytes=status.bound_bytes,
+            spooled_messages=status.on_disk.messages,
+            spooled_bytes=status.on_disk.nbytes,
+            behind_seconds=status.on_disk.behind_sec,
+            held_seconds=status.held_sec,
+            held_messages=status.held_messages,
+        )
 
     def snapshot(self, request: SnapshotRequest) -> SnapshotResponse:
         """Answer Snapshot."""
-        response = SnapshotResponse()
-
-        def work() -> None:
-            response.run, response.messages = self.recorder.snapshot(
-                name=request.name,
-                labels=read_labels(request.labels),
-                after=request.after,
-                topics=request.topics,
-            )
-
-        response.message = _attempt(work)
-        response.success = not response.message
-        return response
+        run, messages = self.recorder.snapshot(
+            name=request.name,
+            labels=read_labels(request.labels),
+            after=request.after,
+            topics=request.topics,
+        )
+        return SnapshotResponse(success=True, run=run, messages=messages)
 
     def mark(self, request: MarkRequest) -> MarkResponse:
         """Answer Mark."""
-        response = MarkResponse()
-
-        def work() -> None:
-            if request.node_id:
-                raise InvalidOption(
-                    "a recorder marks events of its own robot: leave node_id out, or ask the "
-                    "query_server"
-                )
-            labels, values = read_labels(request.labels), read_values(request.values)
-            event = self.recorder.mark(request.name, labels=labels, values=values)
-            pack_event(event, response)
-
-        response.message = _attempt(work)
-        response.success = not response.message
+        if request.node_id:
+            raise InvalidOption(
+                "a recorder marks events of its own robot: leave node_id out, or ask the "
+                "query_server"
+            )
+        labels, values = read_labels(request.labels), read_values(request.values)
+        response = MarkResponse(success=True)
+        pack_event(self.recorder.mark(request.name, labels=labels, values=values), response)
         return response
 
 
 def read_labels(texts: Sequence[str]) -> Mapping[str, str]:
     """Read labels KEY=VALUE, each key once; raises InvalidOption or InvalidName."""
     return check_pairs("labels", map(read_label, texts))
-
-
-def _attempt(work: Callable[[], None]) -> str:
-    """Call ``work``; return the error as a text, '' = no error."""
-    try:
-        work()
-    except CassandraRosError as exc:
-        return str(exc)
-    except Exception as exc:  # noqa: BLE001 - an error of the package must not end the node
-        _log.exception("a service of the recorder failed")
-        return f"internal error: {type(exc).__name__}: {exc}; the node's log has more"
-    return ""
 
 
 def _pack(report: TopicReport, status: RecordingStatus) -> RecordedTopic:

@@ -12,24 +12,15 @@ from types import FrameType
 from typing import Callable, Mapping, Sequence
 
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 
 from cassandra_ros.msg import CopiedTopic
-from cassandra_ros.nodes.diagnostics import quota_entry
+from cassandra_ros.nodes.diagnostics import StatusPublisher
 from cassandra_ros.nodes.ros_node import offer_services, start_named_node
-from cassandra_ros.srv import (
-    ReplicatorStatus,
-    ReplicatorStatusRequest,
-    ReplicatorStatusResponse,
-)
+from cassandra_ros.srv import ReplicatorStatus, ReplicatorStatusRequest, ReplicatorStatusResponse
 from cassandra_ros.stores.copying.copy_status import TopicStatus
-from cassandra_ros.stores.copying.follower import (
-    AWAY,
-    PAUSED,
-    Follower,
-    FollowerStatus,
-)
+from cassandra_ros.stores.copying.follower import AWAY, PAUSED, Follower, FollowerStatus
 
 _log = logging.getLogger(__name__)
 
@@ -139,22 +130,14 @@ def _pack(topic: TopicStatus) -> CopiedTopic:
     )
 
 
-class _Diagnostics:
+class _Diagnostics(StatusPublisher):
     """Publishes the status on /diagnostics: one entry for the target, one for each topic."""
-
-    def __init__(self) -> None:
-        self._name = rospy.get_name().lstrip("/")
-        self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
 
     def publish(self, status: FollowerStatus) -> None:
         """Publish a status."""
-        array = DiagnosticArray()
-        array.header.stamp = rospy.Time.from_sec(time.time())
-        array.status = [self._of_target(status), *map(self._of_topic, status.topics)]
-        if status.quota is not None:
-            level, text, values = quota_entry(status.quota)
-            array.status.append(self._status(level, "maximum size", text, values))
-        self._publisher.publish(array)
+        entries = [self._of_target(status), *map(self._of_topic, status.topics)]
+        entries += self.quota_entries(status.quota)
+        self.send(rospy.Time.from_sec(time.time()), entries)
 
     def _of_target(self, status: FollowerStatus) -> DiagnosticStatus:
         away = status.state in (AWAY, PAUSED)
@@ -171,7 +154,7 @@ class _Diagnostics:
             "bytes/s": f"{status.bytes_per_sec:.0f}",
             "left s": "unknown" if seconds_left is None else f"{seconds_left:.0f}",
         }
-        return self._status(level, "target", text, values)
+        return self.entry(level, "target", text, values)
 
     def _of_topic(self, topic: TopicStatus) -> DiagnosticStatus:
         level, text = DiagnosticStatus.OK, "copied"
@@ -188,10 +171,4 @@ class _Diagnostics:
             "waiting bytes": str(topic.waiting_bytes),
             "waiting s": f"{topic.waiting_sec:.1f}",
         }
-        return self._status(level, topic.topic, text, values)
-
-    def _status(
-        self, level: bytes, what: str, text: str, values: Mapping[str, str]
-    ) -> DiagnosticStatus:
-        pairs = [KeyValue(key, value) for key, value in values.items()]
-        return DiagnosticStatus(level, f"{self._name}: {what}", text, "", pairs)
+        return self.entry(level, topic.topic, text, values)

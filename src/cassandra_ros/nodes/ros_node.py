@@ -25,7 +25,7 @@ from xml.parsers.expat import ExpatError
 import rospy
 from rospy.impl import tcpros_base
 
-from cassandra_ros.errors import ClockNotSet
+from cassandra_ros.errors import ClockNotSet, InvalidName
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.ros_master import MasterTransport, master_answers, master_uri
 from cassandra_ros.nodes.subscription import subscribe
@@ -127,36 +127,56 @@ def read_headers_on_threads() -> None:
 
 
 def start_named_node(
-    default: str, argv: Sequence[str], *, signals: bool = False, rosout: bool = True
+    default: str,
+    argv: Sequence[str],
+    *,
+    signals: bool = False,
+    rosout: bool = True,
+    rostime: bool = False,
+    alone: bool = False,
 ) -> Mapping[str, object]:
     """Start a node, or an anonymous one if a node of its name is running; return its parameters.
 
-    rospy's time is that of the machine, also if /use_sim_time is set, see ``follow_clock``. An
-    anonymous node also has the parameters of the name that the command line gives it: roslaunch has
-    written them there.
+    An anonymous node also has the parameters of the name that the command line gives it: roslaunch
+    has written them there.
 
     Args:
         default: Name if the command line has no ``__name:=x``.
         argv: The command line.
         signals: Whether rospy handles SIGINT and SIGTERM.
         rosout: Whether the log goes to the topic that /rosout is remapped to; False = to /rosout.
+        rostime: Whether rospy follows /clock if /use_sim_time is set; False = its time is that of
+            the machine, see ``follow_clock``.
+        alone: Whether a second node of the name is refused instead.
 
     Raises:
+        InvalidName: With ``alone``: a node of the same name is running.
         KeyboardInterrupt, SystemExit: A signal came while it waited for a master.
     """
     await_master()
     with own_name(default, argv) as (name, full_name, taken):
+        if taken and alone:  # two nodes of one name would replace each other's services
+            raise InvalidName(
+                f"a node {full_name} runs already: stop it with rosnode kill {full_name}, "
+                "or give this one another name with __name:=other"
+            )
         # With a name on the command line rospy would not choose an anonymous one.
         words = [word for word in argv if not (taken and word.startswith(_NAME))]
         read_headers_on_threads()
-        rospy.init_node(
-            name,
-            argv=words,
-            anonymous=taken,
-            disable_signals=not signals,
-            disable_rostime=True,
-            disable_rosout=not rosout,
-        )
+        try:
+            rospy.init_node(
+                name,
+                argv=words,
+                anonymous=taken,
+                disable_signals=not signals,
+                disable_rostime=not rostime,
+                disable_rosout=not rosout,
+            )
+        except rospy.ROSInitException as exc:
+            if not (signals and rospy.is_shutdown()):
+                raise
+            # rospy handled a signal while it waited for a master.
+            raise KeyboardInterrupt from exc
     if not rosout:
         log_as_rosout()
     forward_logging()

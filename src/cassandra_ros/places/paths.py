@@ -21,8 +21,9 @@ from cassandra_ros.places.pose_samples import Times, Track
 from cassandra_ros.places.poses import LONGEST_GAP_SEC
 from cassandra_ros.places.regions import Lines, Region
 from cassandra_ros.places.rigid import Floats
-from cassandra_ros.query.plan.bounds import NsRange
+from cassandra_ros.query.plan.bounds import NsRange, merge_ranges
 from cassandra_ros.query.protocols import WGS84
+from cassandra_ros.read import TimeRange
 
 LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
 LONGEST_WAY_M = 40_000.0
@@ -128,20 +129,6 @@ class RobotPath:
         return numbers
 
 
-def merge_ranges(spans: Iterable[NsRange]) -> Iterator[NsRange]:
-    """Join overlapping and adjacent time ranges; they must be sorted by their start."""
-    current: NsRange | None = None
-    for low, high in spans:
-        if current is not None and low <= current[1] + 1:
-            current = current[0], max(current[1], high)
-            continue
-        if current is not None:
-            yield current
-        current = low, high
-    if current is not None:
-        yield current
-
-
 def clip_ranges(spans: Iterable[NsRange], low: int, high: int) -> Iterator[NsRange]:
     """Yield the parts of time ranges within [low, high]."""
     for start, end in spans:
@@ -149,8 +136,24 @@ def clip_ranges(spans: Iterable[NsRange], low: int, high: int) -> Iterator[NsRan
             yield max(start, low), min(end, high)
 
 
-def subtract_ranges(spans: Sequence[NsRange], holes: Sequence[NsRange]) -> Iterator[NsRange]:
-    """Yield the parts of time ranges that are not in ``holes``; both sorted and disjoint."""
+def window_numbers(
+    spans: Sequence[NsRange], length_ns: int, reverse: bool = False
+) -> Iterator[int]:
+    """Yield the numbers of the windows of a length that some time ranges touch, each once.
+
+    The time ranges are sorted and disjoint; their windows come in this or the opposite order.
+    """
+    last: int | None = None
+    for low, high in reversed(spans) if reverse else spans:
+        numbers = range(low // length_ns, high // length_ns + 1)
+        for number in reversed(numbers) if reverse else numbers:
+            if number != last:
+                yield number
+            last = number
+
+
+def subtract_ranges(spans: Sequence[NsRange], holes: Sequence[NsRange]) -> Iterator[TimeRange]:
+    """Yield the parts of disjoint time ranges that are not in ``holes``; both are sorted."""
     first_hole = 0
     for low, high in spans:
         while first_hole < len(holes) and holes[first_hole][1] < low:
@@ -158,8 +161,8 @@ def subtract_ranges(spans: Sequence[NsRange], holes: Sequence[NsRange]) -> Itera
         n = first_hole
         while n < len(holes) and holes[n][0] <= high:
             if holes[n][0] > low:
-                yield low, holes[n][0] - 1
+                yield TimeRange(low, holes[n][0] - 1)
             low = max(low, holes[n][1] + 1)
             n += 1
         if low <= high:
-            yield low, high
+            yield TimeRange(low, high)

@@ -24,11 +24,12 @@ from cassandra_ros.places.array_source import (
 )
 from cassandra_ros.places.frame_poses import TF, FrameChain, TfRecording
 from cassandra_ros.places.ground_cells import OpenVisits
-from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath, merge_ranges
+from cassandra_ros.places.paths import LONGEST_GAP_NS, RobotPath, window_numbers
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_fixes, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MAX_FRAMES, fixed_frames, frames_above, frames_in
+from cassandra_ros.query.plan.bounds import merge_ranges
 from cassandra_ros.query.protocols import WGS84
 from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square, VisitRow
 
@@ -263,10 +264,7 @@ class _TopicPoses(NamedTuple):
 
 def _windows(extents: Sequence[Extent]) -> Iterator[tuple[int, int]]:
     """Yield the windows of MAX_SPAN_NS that the ranges touch, each once."""
-    last = -1
-    for low, high in merge_ranges(sorted((extent.low, extent.high) for extent in extents)):
-        for number in range(low // MAX_SPAN_NS, high // MAX_SPAN_NS + 1):
-            if number != last:
-                start = number * MAX_SPAN_NS
-                yield start, start + MAX_SPAN_NS - 1
-            last = number
+    ranges = list(merge_ranges(sorted((extent.low, extent.high) for extent in extents)))
+    for number in window_numbers(ranges, MAX_SPAN_NS):
+        start = number * MAX_SPAN_NS
+        yield start, start + MAX_SPAN_NS - 1

@@ -16,10 +16,11 @@ import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.earth import UNITS_PER_DEGREE
-from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, RobotPath, merge_ranges
+from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, RobotPath
 from cassandra_ros.places.pose_samples import Times
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.whereabouts import Whereabouts
+from cassandra_ros.query.plan.bounds import merge_ranges
 from cassandra_ros.query.protocols import WGS84
 from cassandra_ros.read import Writers
 

@@ -9,7 +9,6 @@ other times are candidates too. For the candidates the recorded poses are read a
 from __future__ import annotations
 
 import threading
-from bisect import bisect_right
 from contextlib import contextmanager
 from typing import Callable, Iterable, Iterator, Mapping, Sequence
 
@@ -17,7 +16,12 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.array_source import Extent, StoredTopics, find_stored
 from cassandra_ros.places.earth import EarthDisk
 from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, GroundCell, cells_of
-from cassandra_ros.places.paths import LONGEST_GAP_NS, clip_ranges, merge_ranges, subtract_ranges
+from cassandra_ros.places.paths import (
+    LONGEST_GAP_NS,
+    clip_ranges,
+    subtract_ranges,
+    window_numbers,
+)
 from cassandra_ros.places.pose_topic import tells_fixes
 from cassandra_ros.places.regions import DiskRegion, Region
 from cassandra_ros.places.robots import MAX_FRAMES, Robot, RobotFinder, is_fixed_to
@@ -27,7 +31,7 @@ from cassandra_ros.places.track_windows import (
     Windows,
     overlapping_pairs,
 )
-from cassandra_ros.query.plan.bounds import NsRange
+from cassandra_ros.query.plan.bounds import NsRange, has_overlap, merge_ranges
 from cassandra_ros.query.protocols import WGS84, Disk
 from cassandra_ros.read import Writers
 from cassandra_ros.store.tables.place_index import IndexedPoses, PlaceIndex, Square
@@ -94,7 +98,7 @@ class RegionStays:
         if any(list(w.still.stays(self._region)) for w in windows if w.still is not None):
             return iter([(low, high)])
         moving = [w for w in windows if w.still is None]
-        return _touching(self._find_stays(moving, low, high, reverse, watch))
+        return merge_ranges(self._find_stays(moving, low, high, reverse, watch))
 
     def _find_stays(
         self,
@@ -107,47 +111,16 @@ class RegionStays:
         """Yield the stays of robots that move, window by window, for ``spans``."""
         candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in moving]
         ranges = merge_ranges(sorted(span for spans in candidates for span in spans))
-        for number in _numbers(list(ranges), reverse):
+        for number in window_numbers(list(ranges), TRACK_WINDOW_NS, reverse):
             watch()
             start, end = number * TRACK_WINDOW_NS, (number + 1) * TRACK_WINDOW_NS - 1
             stays: list[NsRange] = []
             for windows, spans in zip(moving, candidates):
-                if _meets(spans, start, end):
+                if has_overlap(spans, start, end):
                     for path in self._window(windows, start).paths:
                         stays += path.stays(self._region)
             inside = list(clip_ranges(merge_ranges(sorted(stays)), max(low, start), min(high, end)))
             yield from reversed(inside) if reverse else inside
-
-
-def _numbers(spans: Sequence[NsRange], reverse: bool) -> Iterator[int]:
-    """Yield the numbers of the windows that some time ranges touch, each once."""
-    last: int | None = None
-    for low, high in reversed(spans) if reverse else spans:
-        numbers = range(low // TRACK_WINDOW_NS, high // TRACK_WINDOW_NS + 1)
-        for number in reversed(numbers) if reverse else numbers:
-            if number != last:
-                yield number
-            last = number
-
-
-def _meets(spans: Sequence[NsRange], start: int, end: int) -> bool:
-    """Return whether one of some time ranges, sorted and disjoint, touches [start, end]."""
-    n = bisect_right(spans, (end, MAX_NS)) - 1
-    return n >= 0 and spans[n][1] >= start
-
-
-def _touching(spans: Iterable[NsRange]) -> Iterator[NsRange]:
-    """Join adjacent and overlapping time ranges, in ascending or descending order."""
-    last: NsRange | None = None
-    for low, high in spans:
-        if last is not None and low <= last[1] + 1 and last[0] <= high + 1:
-            last = min(last[0], low), max(last[1], high)
-            continue
-        if last is not None:
-            yield last
-        last = low, high
-    if last is not None:
-        yield last
 
 
 class Whereabouts:

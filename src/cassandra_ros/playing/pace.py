@@ -59,11 +59,6 @@ class Pace:
         """Return whether the clock stands for this reason, alone or among others."""
         return reason in self._state.holds
 
-    @property
-    def stands(self) -> bool:
-        """Whether the clock stands."""
-        return bool(self._state.holds)
-
     def due_in(self, t: int) -> float | None:
         """Return the wall time until ``t``, s; 0 or less after ``t``, None if the clock stands."""
         state, clock = self._state, self._clock()

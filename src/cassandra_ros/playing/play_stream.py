@@ -22,12 +22,12 @@ from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
 from cassandra_ros.metadata import Kind
-from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
 from cassandra_ros.playing.play_source import PlaySource, with_first_times
 from cassandra_ros.playing.play_times import check_length, read_when, resolve_times
 from cassandra_ros.playing.played_store import PlayedRow, PlayedStore
 from cassandra_ros.playing.stored_ranges import StoredRange
+from cassandra_ros.query.plan.bounds import merge_ranges
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.event_finder import EventChoice, WindowRule, merge_windows
@@ -206,7 +206,7 @@ class PlayStream:
         sources, around = self._play_sources, self._around
         if self._event is not None:
             events = heapq.merge(*(source.events(bounds) for source in sources))
-            windows = [TimeRange(*window) for window in merge_ranges(events)]
+            windows = list(merge_ranges(events))
             what = "event reaches into the time"
         elif around is not None:
             hits_by_source = (

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Iterator, Protocol, Sequence
+from typing import Callable, Protocol
 
 from cassandra_ros.errors import (
     ConnectionFailed,
@@ -19,7 +19,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.play_options import PlayerOptions
-from cassandra_ros.playing.play_stream import PlayedMessage
+from cassandra_ros.playing.play_stream import PlayedMessage, PlayStream
 from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, OnSkip, ReadAhead, keep_row
 from cassandra_ros.read import TimeRange
 
@@ -41,19 +41,6 @@ PAUSED: by a command, or before a message of a pause topic. DELAYED: the consume
 STALLED: the store gives no message; the state is then DELAYED. AT_ONCE: the time only jumps from
 message to message; no state. ENDED: all was played; no reason.
 """
-
-
-class PlayedStream(Protocol):
-    """The stream that is played, see PlayStream."""
-
-    start_ns: int
-    end_ns: int
-
-    def latched(self, t: int) -> Sequence[PlayedMessage]:
-        """Return the messages that are published first when playing begins at ``t``, ns."""
-
-    def messages(self, t: int | None = None) -> Iterator[PlayedMessage]:
-        """Yield the messages from ``t`` on, ns."""
 
 
 class PlayOutput(Protocol):
@@ -89,7 +76,7 @@ class Playback:
 
     def __init__(
         self,
-        stream: PlayedStream,
+        stream: PlayStream,
         output: PlayOutput,
         options: PlayerOptions,
         lags: Callable[[int], bool],

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Collection, Iterator, Mapping, Protocol, Sequence
+from typing import TYPE_CHECKING, Collection, Iterator, Mapping, Protocol, Sequence, Union
 
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
@@ -13,38 +13,16 @@ from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import EventChoice
 from cassandra_ros.topics.event_times import EventTimes, Reads
-from cassandra_ros.topics.overview.latched_messages import (
-    Latched,
-    LatchedFinder,
-    LatchedRow,
-    tests_of,
-)
+from cassandra_ros.topics.overview.latched_messages import Latched, LatchedFinder, tests_of
 from cassandra_ros.topics.row_finder import Filter, Where
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
+if TYPE_CHECKING:
+    from cassandra_ros.stores.fleet.fleet_row import FleetRow
 
-class PlayedRow(LatchedRow, Protocol):
-    """A stored message, see StoredRow."""
-
-    @property
-    def received(self) -> int:
-        """Receive time, ns."""
-
-    @property
-    def topic(self) -> str:
-        """Name of the topic in which it is stored."""
-
-    @property
-    def md5sum(self) -> str:
-        """md5 of the message definition."""
-
-    @property
-    def wire(self) -> bytes:
-        """The serialised message."""
-
-    def keep_wire(self) -> bytes:
-        """Return the serialised message, and release what else was read of it."""
+PlayedRow = Union[StoredRow, "FleetRow"]
+"""A stored message: of one store, or of several."""
 
 
 class PlayedStore(Protocol):

@@ -210,8 +210,6 @@ class Backlog:
         self._thread = threading.Thread(target=self._run, name="recorder-spool", daemon=True)
         self._thread.start()
 
-    # ---------------------------------------------------------------- the writing thread
-
     def next_messages(
         self, most: int, most_bytes: int, timeout_sec: float
     ) -> list[BufferedMessage]:
@@ -353,8 +351,6 @@ class Backlog:
                 return True
             waits = self._handed or self._parking or self._reading is not None
             return self._buffer.ended and not waits
-
-    # ---------------------------------------------------------------- the spool's thread
 
     def _run(self) -> None:
         """Write messages of the buffer to files, and sync these, until ``_done`` is set."""
@@ -602,8 +598,6 @@ class Backlog:
                 self._plan.folder.path,
                 on_disk.behind_sec,
             )
-
-    # ---------------------------------------------------------------- state and end
 
     @property
     def path(self) -> str:

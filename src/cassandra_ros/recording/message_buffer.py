@@ -58,8 +58,9 @@ class BufferedMessage(NamedTuple):
 class MessageSource:
     """The messages of one topic with the same connection header.
 
-    The writing thread calls ``hold``, ``is_ripe`` and ``submit``. From ``submit`` on the thread of
-    the TableMaker calls ``lengths`` and what notes a result.
+    The writing thread calls ``hold`` and ``is_ripe``, and sets ``submitted``. From then on the
+    thread of the TableMaker calls ``lengths``, and sets ``handle``, ``error``, ``told`` and
+    ``conflicts``.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -88,28 +89,6 @@ class MessageSource:
         self._seen += 1
         self._seen_bytes += len(item.wire)
         self.waiting.append(item)
-
-    def submit(self) -> None:
-        """Note that the table is being made."""
-        self.submitted = True
-
-    def stand(self, handle: Handle) -> None:
-        """Note where the messages go: the table stands."""
-        self.handle = handle
-
-    def fail(self, error: str) -> None:
-        """Note why the messages cannot be stored."""
-        self.error = error
-
-    def note_conflict(self) -> None:
-        """Note that another client's schema change came between."""
-        self.conflicts += 1
-
-    def tell(self) -> bool:
-        """Note that it is logged that it waits for its table; return whether it was not before."""
-        first = not self.told
-        self.told = True
-        return first
 
     def is_ripe(self) -> bool:
         """Return whether the rate is known well enough to fix the bucket length."""

@@ -16,13 +16,7 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from concurrent.futures import Future
 from functools import partial
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Iterator,
-    NamedTuple,
-    Sequence,
-)
+from typing import TYPE_CHECKING, Any, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.messages.connection_header import Connection

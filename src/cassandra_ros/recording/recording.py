@@ -35,11 +35,7 @@ from cassandra_ros.recording.recorder_options import SpoolPlan
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
 from cassandra_ros.recording.table_maker import TableMaker, connect, make_together
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
-from cassandra_ros.recording.topic_settings import (
-    RecordingSettings,
-    TopicSettings,
-    settings_as_json,
-)
+from cassandra_ros.recording.topic_settings import RecordingSettings, settings_as_json
 from cassandra_ros.store.tables.context_blob import RunContext
 from cassandra_ros.store.tables.lengths import Lengths
 from cassandra_ros.store.tables.registry import LossKind, Run
@@ -90,8 +86,7 @@ class Recording:
         store: The catalog of the connected keyspace, or a future of it: until it is connected
             messages wait in the buffer.
         clock: Returns the time of reception, ns; raises ClockNotSet while it is unknown.
-        format: Format of all topics, as addTopic takes it; used only without ``settings``.
-        settings: Settings of the topics; None = only ``format``.
+        settings: Settings of the topics; None = all values have their defaults.
         filters: Filters that leave messages out; None = those of the settings.
         node: nodeID of the recorded robot.
         buffer_bytes: Maximum memory of all waiting messages, bytes, above which the oldest are
@@ -105,7 +100,7 @@ class Recording:
         spool: How messages wait on disk while the store does not keep up; None = in memory only.
     """
 
-    _refusal = ""
+    refusal = ""
     """Reason why received messages are not stored for now and are lost; '' = they are stored."""
     problem = ""
     """Reason why the run cannot be stored at all; '' = it is stored, or may be later."""
@@ -117,7 +112,6 @@ class Recording:
         store: Store,
         *,
         clock: Callable[[], int] = time.time_ns,
-        format: str | None = None,
         settings: RecordingSettings | None = None,
         filters: Filters | None = None,
         node: str = "",
@@ -132,7 +126,7 @@ class Recording:
     ) -> None:
         self._store = store_future(store)
         self._clock = clock
-        self._settings = settings or RecordingSettings(TopicSettings(format))
+        self._settings = settings or RecordingSettings()
         self._filters = filters or Filters(self._settings, node)
         self.node, self.name, self._labels = node, name, dict(labels or {})
         self._limit, self._block_sec = limit, block_sec
@@ -301,10 +295,6 @@ class Recording:
         thread.start()
         return thread
 
-    def refuse(self, reason: str) -> None:
-        """Store nothing that comes from now on, for this reason; '' = store it again."""
-        self._refusal = reason
-
     def expect(self, topic: str) -> None:
         """List a topic in the reports even if no message of it is received."""
         self._counts.expect(topic)
@@ -367,8 +357,8 @@ class Recording:
         if feed.filter is not None and not feed.filter.passes(header, t, wire):
             self._counts.leave_out(topic, wire, paused=False)
             return ()
-        if self._refusal:
-            self._lose(topic, LossKind.REFUSED, self._refusal, t)
+        if self.refusal:
+            self._lose(topic, LossKind.REFUSED, self.refusal, t)
             return ()
         return self._put(feed, t, wire)
 
@@ -471,7 +461,7 @@ class Recording:
             self._accepting = False
             if self._limit:
                 later._earlier_counts = self._limit_counts()
-            later.refuse(self._refusal)
+            later.refusal = self.refusal
             switch()
 
     def _limit_counts(self) -> dict[str, int]:
@@ -605,7 +595,7 @@ class Recording:
         ending = self._queue.ended
         for source in self._waiting:
             if not source.submitted and (ending or source.is_ripe()):
-                source.submit()
+                source.submitted = True
                 self._tables.make(source)
         if ending:  # a store that does not answer is given up soon
             self._tables.hurry()

@@ -10,6 +10,7 @@ import logging
 import math
 import threading
 import time
+from concurrent.futures import Future, wait
 from contextlib import suppress
 from typing import Callable, Mapping, NamedTuple, Sequence
 
@@ -41,45 +42,6 @@ MAX_LATCHED = 4096
 """Maximum number of publishers whose latched message is repeated in each run."""
 SPACE_WARN_FACTOR = 5
 """Multiple of the minimum space below which a warning is logged."""
-
-
-class _RunStart:
-    """The start of a run on its own thread, because the store may not answer."""
-
-    def __init__(self, make: Callable[[], Recording]) -> None:
-        self._make = make
-        self._unwanted = False
-        self._mutex = threading.Lock()
-        self.recording: Recording | None = None
-        """The run; None = it has not started yet, or could not."""
-        self.problem = ""
-        """Reason why it could not be started; '' = none yet."""
-        self._thread = threading.Thread(target=self._run, name="recorder-begin", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        """Start the run, on the thread; end it again if it was dropped meanwhile."""
-        try:
-            recording = self._make()
-        except CassandraRosError as exc:
-            self.problem = str(exc)
-            return
-        with self._mutex:
-            self.recording, unwanted = recording, self._unwanted
-        if unwanted:
-            recording.close()
-
-    def done(self, timeout_sec: float) -> bool:
-        """Wait at most ``timeout_sec``; return whether the run has started or failed to."""
-        self._thread.join(timeout_sec)
-        return not self._thread.is_alive()
-
-    def drop(self) -> None:
-        """End the empty run once it has started, without waiting for it."""
-        with self._mutex:
-            recording, self._unwanted = self.recording, True
-        if recording is not None:
-            threading.Thread(target=recording.close, name="recorder-drop", daemon=True).start()
 
 
 class _EndedRun(NamedTuple):
@@ -132,8 +94,8 @@ class RunSeries:
         """Monotonic time before which no next run is started, because that has failed, s."""
         self._repeated_messages = 0
         """Number of latched messages with which the current run began."""
-        self._making: _RunStart | None = None
-        """Start of the next run, which may take several calls of ``poll``."""
+        self._making: Future[Recording] | None = None
+        """The next run, whose start may take several calls of ``poll``."""
         self._problem = ""
         """Reason why the run that ended last could not be stored; '' = none."""
         self._name, self._labels = "", dict(options.labels)
@@ -269,7 +231,7 @@ class RunSeries:
             return False
         if time.monotonic() >= self._check_space_at:
             self._check_space_at = time.monotonic() + SPACE_SEC
-            current.refuse(self._space.refusal())
+            current.refusal = self._space.refusal()
         full = bool(options.size) and current.received_bytes >= options.size
         late = bool(options.duration) and time.monotonic() >= self._begun_at + options.duration
         if not (full or late):
@@ -294,15 +256,15 @@ class RunSeries:
             return
         if len(self._closers) >= MAX_ENDING:
             return
-        making = self._making = self._making or _RunStart(self._new)
-        if not making.done(BEGIN_SEC):
+        making = self._making = self._making or self._start_next()
+        if not wait([making], BEGIN_SEC).done:
             return
-        self._making, new = None, making.recording
-        if new is None:
+        self._making, problem = None, making.exception()
+        if problem is not None:
             self._split_at = time.monotonic() + RETRY_SEC
-            why = making.problem
-            _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, why)
+            _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, problem)
             return
+        new = making.result()
         self._expect_all(new)
         self._begun(new)
         with self._latched_lock:
@@ -321,6 +283,21 @@ class RunSeries:
         thread = threading.Thread(target=self._close, args=args, name=name, daemon=True)
         self._closers.append(thread)
         thread.start()
+
+    def _start_next(self) -> Future[Recording]:
+        """Start the next run on a thread of its own, because the store may not answer."""
+        making: Future[Recording] = Future()
+
+        def start() -> None:
+            try:
+                making.set_result(self._new())
+            except BaseException as exc:
+                making.set_exception(exc)
+                if not isinstance(exc, CassandraRosError):
+                    raise  # our mistake: the thread prints it
+
+        threading.Thread(target=start, name="recorder-begin", daemon=True).start()
+        return making
 
     def _close(self, order: int, recording: Recording) -> None:
         """Store a run that has ended by a split; delete the oldest ones above max_splits."""
@@ -366,7 +343,7 @@ class RunSeries:
         """
         making, self._making = self._making, None
         if making is not None:
-            making.drop()
+            making.add_done_callback(_drop)
         recording = self.current
         if recording is None:
             return []
@@ -427,6 +404,13 @@ class RunSeries:
             if self.current is not None:
                 reports.append(self.current.reports())
             return merge_reports(reports)
+
+
+def _drop(making: Future[Recording]) -> None:
+    """End a run that is not wanted any more and has no messages, without waiting for it."""
+    if making.exception() is None:
+        close = making.result().close
+        threading.Thread(target=close, name="recorder-drop", daemon=True).start()
 
 
 class SpaceGuard:

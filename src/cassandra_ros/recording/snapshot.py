@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Callable, Collection, Mapping, Protocol, Sequence
+from typing import Callable, Collection, Mapping, Sequence
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidOption
 from cassandra_ros.keys import SECOND_NS
@@ -133,23 +133,14 @@ class MessageRing:
         ]
 
 
-class BeginRun(Protocol):
-    """Function that starts the run of a snapshot."""
-
-    def __call__(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
-        """Return the run.
-
-        Args:
-            restored: Number of messages in memory that will be stored in it first.
-
-        Raises:
-            CassandraRosError: The run cannot be started in the store.
-        """
+BeginRun = Callable[[str, Mapping[str, str], int], Recording]
+"""Function that starts the run of a snapshot, by its name, its labels, and the number of messages
+in memory that will be stored in it first. It raises CassandraRosError if the store refuses it."""
 
 
 @dataclass
 class _SnapshotRun:
-    """A snapshot that is being written. Its methods are called under the lock of Snapshots."""
+    """A snapshot that is being written; it is changed under the lock of Snapshots."""
 
     topics: Collection[str]
     """Names of topics; empty = all."""
@@ -179,14 +170,6 @@ class _SnapshotRun:
         while self.late:
             recording.follow(self.late.popleft())
         self.recording = recording
-
-    def end(self) -> None:
-        """Accept no more messages."""
-        self.follows = False
-
-    def abandon(self) -> None:
-        """Mark that ``Snapshots.abandon`` has reported on it."""
-        self.abandoned = True
 
 
 class Snapshots:
@@ -319,7 +302,7 @@ class Snapshots:
             _log.error("the snapshot %s could not be written whole: %s", recording.name, exc)
         finally:
             with self._mutex:
-                writing.end()
+                writing.follows = False
             reports = recording.close()
             with self._mutex:
                 self._writing.remove(writing)
@@ -334,7 +317,7 @@ class Snapshots:
         with self._mutex:
             runs = list(self._writing)
             for writing in runs:
-                writing.abandon()
+                writing.abandoned = True
         for writing in runs:
             if writing.recording is None:
                 _log.error("a requested snapshot is not written: its run could not be started")

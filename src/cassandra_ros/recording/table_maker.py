@@ -128,21 +128,22 @@ class TableMaker:
     def _decide(self, source: MessageSource) -> bool:
         """Try to make the table of a source; return whether it has got a handle or an error."""
         try:
-            source.stand(self._connect(source))
+            source.handle = self._connect(source)
             return True
         except (StoreUnavailable, SchemaConflict, WriteFailed) as exc:
             if not isinstance(exc, StoreUnavailable):
-                source.note_conflict()
+                source.conflicts += 1
             if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
-                if source.tell():
+                if not source.told:
+                    source.told = True
                     _log.warning("topic %s waits for its table: %s", source.topic, exc)
                 return False
-            source.fail(str(exc))
+            source.error = str(exc)
         except CassandraRosError as exc:
-            source.fail(str(exc))
+            source.error = str(exc)
         except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
             _log.exception("the table of topic %s could not be made", source.topic)
-            source.fail(f"internal error: {type(exc).__name__}: {exc}")
+            source.error = f"internal error: {type(exc).__name__}: {exc}"
         if self._deadline:  # else its messages are in the spool, and the connection is closed
             _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
         return True

@@ -4,12 +4,9 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Callable, Mapping, Sequence
-
-import yaml
 
 from cassandra_ros.arguments import (
     check_event_name,
@@ -33,9 +30,7 @@ from cassandra_ros.recording.option_values import (
     read_ttl,
 )
 from cassandra_ros.recording.recorder_options import RecorderOptions
-
-MAX_CONFIG_BYTES = 1 << 20
-"""Maximum length of a settings file, characters."""
+from cassandra_ros.yaml_text import check_keys, yaml_content
 
 
 @dataclass(frozen=True)
@@ -126,10 +121,7 @@ def read_settings(text: str, source: str = "settings") -> SettingsFile:
     Raises:
         InvalidOption: The text cannot be read; the error has ``source``, entry and remedy.
     """
-    try:
-        if len(text) > MAX_CONFIG_BYTES:
-            raise InvalidOption(f"it is longer than {MAX_CONFIG_BYTES} characters")
-        content = yaml.safe_load(text)
+    with yaml_content(text, source) as content:
         content = {} if content is None else content
         if not isinstance(content, dict) or not set(content) <= {"topics", "events"}:
             raise InvalidOption("it must be a mapping with the keys topics and events, each a list")
@@ -139,8 +131,6 @@ def read_settings(text: str, source: str = "settings") -> SettingsFile:
             [_rule(number, entry) for number, entry in enumerate(topics, 1)],
             [_event(number, entry) for number, entry in enumerate(events, 1)],
         )
-    except (yaml.YAMLError, CassandraRosError, RecursionError) as exc:
-        raise InvalidOption(f"{source} cannot be used: {exc}") from exc
 
 
 def _entries(content: Mapping[str, object], key: str, form: str) -> list[object]:
@@ -156,7 +146,7 @@ def _event(number: int, entry: object) -> WatchedEvent:
     if not isinstance(entry, dict) or not {"name", "topic", "where"} <= set(entry):
         reason = f"entry {number} of events is not a mapping with name, topic and where"
         raise InvalidOption(f"{reason}: {entry!r:.80}")
-    _check_keys(number, entry, {"name", "topic", "where", "hold", "labels"})
+    check_keys(number, entry, ("hold", "labels", "name", "topic", "where"))
     try:
         hold = entry.get("hold", 0)
         return WatchedEvent(
@@ -170,22 +160,13 @@ def _event(number: int, entry: object) -> WatchedEvent:
         raise InvalidOption(f"entry {number}, event {entry['name']!r:.80}: {exc}") from exc
 
 
-def _check_keys(number: int, entry: Mapping[object, object], keys: set[str]) -> None:
-    """Raise InvalidOption if an entry has a key that is not one of ``keys``."""
-    for name in entry:
-        if name not in keys:
-            near = difflib.get_close_matches(str(name), keys, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(keys))}"
-            raise InvalidOption(f"entry {number} has an unknown key {name!r:.80}; {hint}")
-
-
 def _rule(number: int, entry: object) -> Rule:
     """Read the entry with this number, from 1, of the topics; raises InvalidOption."""
     if not isinstance(entry, dict) or "pattern" not in entry:
         raise InvalidOption(
             f"entry {number} of topics is not a mapping with a pattern: {entry!r:.80}"
         )
-    _check_keys(number, entry, {"pattern", *_READERS})
+    check_keys(number, entry, sorted(["pattern", *_READERS]))
     try:
         values = {name: _READERS[name](entry[name]) for name in entry if name != "pattern"}
         return check_pattern(entry["pattern"]), values

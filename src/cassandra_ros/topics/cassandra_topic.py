@@ -27,6 +27,7 @@ from cassandra_ros.metadata import MetaView
 from cassandra_ros.printable import public_names
 from cassandra_ros.query.arrays.arrow_batches import ArrowSchema, read_record_batches
 from cassandra_ros.query.arrays.arrow_types import wanted_columns
+from cassandra_ros.query.arrays.batch import LeastOf, Window
 from cassandra_ros.query.arrays.field_arrays import FieldArray, as_arrays, as_frame, gather_fields
 from cassandra_ros.read import Chooser, Columns, Named, Read, Whose
 from cassandra_ros.topics.descriptions import topic_html, topic_line
@@ -42,7 +43,6 @@ from cassandra_ros.topics.row_finder import (
     range_between,
     refuse_units,
 )
-from cassandra_ros.topics.row_reader import until_whole
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key, StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import count_buckets, count_rows
@@ -353,6 +353,15 @@ class CassandraTopic:
             check_message_name(self.name, read.only.name)
         return self._keyspace.rows.read(self._stored_tables(), read)
 
+    def in_order(self, read: Read, least: LeastOf) -> Iterator[StoredRow | Window]:
+        """Yield the messages of ``read`` in the same order; many of them come together.
+
+        Args:
+            read: What is read; ``only`` is not set.
+            least: Minimum number of messages of a table that come together; see LeastOf.
+        """
+        return self._keyspace.rows.in_order(self._stored_tables(), read, least)
+
     def count(self, read: Read) -> int:
         """Return the number of messages in the time range of a read, of its nodes and writers."""
         return count_rows(self._keyspace.directory, self._stored_tables(), read)
@@ -524,7 +533,7 @@ class CassandraTopic:
             InvalidName: There is no such field.
             InvalidKey, InvalidQuery, RunNotFound: As in items.
             MissingDependency: pyarrow is not installed; the text says how to install it.
-            StoreUnavailable: While batches are read: the topic was converted or removed.
+            StoreUnavailable: While batches are read: the topic was removed.
         """
         finder = self._finder(nodeID, where, run)
         names = None if fields is None else check_list("fields", fields, "['linear.x']")
@@ -546,7 +555,7 @@ class CassandraTopic:
         finder = self._finder(nodeID, where, run)
         read = finder.batches(key, to_key)
         gather = partial(gather_fields, self, fields, where, read, whose=finder.whose)
-        return until_whole(partial(self._keyspace.tables.naming, gather))
+        return self._keyspace.tables.naming(gather)
 
     def createIndex(self, field: str, progress: Progress | None = None) -> int:
         """Make an index on a field, so that conditions on it read only the matching rows.
@@ -600,9 +609,8 @@ class CassandraTopic:
         return self.getRow(key) is not None
 
     def __dir__(self) -> list[str]:
-        return public_names(
-            self, ("count", "countBuckets", "gather", "getRow", "read", "rows", "tables")
-        )
+        inner = "count countBuckets gather getRow in_order read rows tables"
+        return public_names(self, inner.split())
 
     def __repr__(self) -> str:
         space = self._keyspace

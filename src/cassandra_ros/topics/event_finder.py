@@ -30,8 +30,8 @@ from cassandra_ros.arguments import (
 )
 from cassandra_ros.errors import EventNotFound, InvalidKey, InvalidName, InvalidOption
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Length, Time, duration_ns, iso_time, to_ns
-from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.query import protocols
+from cassandra_ros.query.plan.bounds import merge_ranges
 from cassandra_ros.query.rows.name_resolution import like_test
 from cassandra_ros.read import ALWAYS, EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.tables.event_table import ALL_NAMES, Event, EventTable, Names
@@ -317,4 +317,4 @@ def merge_windows(
         bounds: Time range to which windows are cut.
     """
     around = ((max(bounds.low, hit - before), min(bounds.high, hit + after)) for hit in hits)
-    return (TimeRange(*window) for window in merge_ranges(around))
+    return merge_ranges(around)

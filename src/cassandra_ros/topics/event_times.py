@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import heapq
-from bisect import bisect_right
 from dataclasses import replace
-from itertools import groupby
+from itertools import chain, groupby
 from typing import Iterable, Iterator, NamedTuple, Sequence, TypeVar
 
+from cassandra_ros.query.plan.bounds import NsRange, has_overlap, merge_ranges
 from cassandra_ros.query.protocols import NamedTime
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 
@@ -47,19 +47,19 @@ class EventTimes:
     """
 
     def __init__(self, events: Iterable[NamedTime], before: int = 0, after: int = 0) -> None:
-        self._by_node: dict[str, list[TimeRange]] = {}
+        by_node: dict[str, list[NsRange]] = {}
         for event in events:
             low, high = event.time_range
-            wider = TimeRange(max(0, low - before), min(LAST_NS, high + after))
-            _add(self._by_node.setdefault(event.node, []), wider)
-        self.ranges: list[TimeRange] = []
+            wider = max(0, low - before), min(LAST_NS, high + after)
+            by_node.setdefault(event.node, []).append(wider)
+        self._by_node = {node: list(merge_ranges(ranges)) for node, ranges in by_node.items()}
+        all_ranges = sorted(chain.from_iterable(self._by_node.values()))
+        self.ranges: list[TimeRange] = list(merge_ranges(all_ranges))
         """The time ranges of all robots together, in order, not overlapping."""
-        for time_range in sorted(r for ranges in self._by_node.values() for r in ranges):
-            _add(self.ranges, time_range)
 
     def holds(self, node: str, run: str, t: int) -> bool:
         """Return whether the robot of a message had an event at a time; ``run`` is not used."""
-        return any(_has(self._by_node.get(name, ()), t) for name in {node, ""})
+        return any(has_overlap(self._by_node.get(name, ()), t, t) for name in {node, ""})
 
     def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[tuple[int, int]]:
         """Yield the time ranges in [low, high], ns, ascending or (reverse) descending."""
@@ -92,17 +92,3 @@ class EventTimes:
                     time_range = TimeRange(t, following[0] - 1)
                     reads.append(replace(whole, time_range=time_range, whose=whose))
         return reads
-
-
-def _add(ranges: list[TimeRange], later: TimeRange) -> None:
-    """Add a time range that begins no earlier than the last; join it if they touch."""
-    if ranges and later.low <= ranges[-1].high + 1:
-        ranges[-1] = TimeRange(ranges[-1].low, max(ranges[-1].high, later.high))
-    else:
-        ranges.append(later)
-
-
-def _has(ranges: Sequence[TimeRange], t: int) -> bool:
-    """Return whether one of some ordered, disjoint time ranges contains a time."""
-    n = bisect_right(ranges, (t, LAST_NS)) - 1
-    return n >= 0 and ranges[n].high >= t

@@ -23,7 +23,7 @@ from cassandra_ros.store.tables.directory import STALE_SEC, BucketRow, BucketTot
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_adder import MessageAdder
 from cassandra_ros.topics.stored_row import read_wire
-from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.stored_totals import buckets_of, group_by_bucket
 from cassandra_ros.topics.topic_table import TopicTable, definition_in
 
 _log = logging.getLogger(__name__)
@@ -197,10 +197,8 @@ class IndexFilling:
             index = table.index_fields.get(self._field)
             if index is None:
                 continue
-            buckets: dict[tuple[str, int], list[BucketRow]] = {}
-            for row in buckets_of(self._directory, table):
-                if _lacks(row, index):
-                    buckets.setdefault((row.node, row.bucket), []).append(row)
+            rows = buckets_of(self._directory, table)
+            buckets = group_by_bucket(row for row in rows if _lacks(row, index))
             for key in sorted(buckets):
                 yield table, index, buckets[key]
 

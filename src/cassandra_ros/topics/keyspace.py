@@ -21,7 +21,7 @@ from cassandra_ros.topics.new_tables import NewTables
 from cassandra_ros.topics.row_reader import FollowingReader, RowReader
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
-from cassandra_ros.topics.stored_totals import holds_any
+from cassandra_ros.topics.stored_totals import ALL_BUCKETS, holds_any
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables, kind_of
 
 
@@ -70,5 +70,5 @@ class Keyspace:
 
     def nodes(self, tables: Sequence[TopicTable]) -> list[str]:
         """Return the nodeIDs that have stored messages in some tables, sorted."""
-        ends = (-(2**63), 2**63 - 1)
-        return sorted({node for t in tables for _, node in self.directory.nodes(t.name, *ends)})
+        directory = self.directory
+        return sorted({node for t in tables for _, node in directory.nodes(t.name, *ALL_BUCKETS)})

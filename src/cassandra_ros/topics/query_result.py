@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import partial
 from itertools import chain, islice
 from typing import (
     Callable,
@@ -14,6 +15,7 @@ from typing import (
     Iterator,
     NamedTuple,
     Optional,
+    Protocol,
     Sequence,
     TypeVar,
     Union,
@@ -23,7 +25,8 @@ from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.stamps import is_time, iso_time, other_unit, to_ns
 from cassandra_ros.printable import NOTEBOOK_ROWS, html_table
-from cassandra_ros.query.arrays.batch import Batch, CheckOf
+from cassandra_ros.query.arrays.batch import Batch, CheckOf, LeastOf, StackedBatch, Window
+from cassandra_ros.query.arrays.result_columns import ResultColumns
 from cassandra_ros.query.plan.bounds import (
     Bounds,
     NsRange,
@@ -35,7 +38,14 @@ from cassandra_ros.query.plan.bounds import (
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.protocols import Row, RowT_co, Source, Table
 from cassandra_ros.query.rows.projection import Projections, ResultRow
-from cassandra_ros.query.rows.result_groups import analyse_select, make_groups
+from cassandra_ros.query.rows.result_groups import (
+    Columns,
+    analyse_select,
+    columns_of,
+    join_columns,
+    make_groups,
+    rows_of,
+)
 from cassandra_ros.query.tree.parse import parse_condition
 from cassandra_ros.query.tree.syntax import Delete, Select
 from cassandra_ros.read import EVERYBODY, EVERYTHING, Read, Whose
@@ -50,22 +60,41 @@ _T = TypeVar("_T")
 BatchReader = Callable[[Read, Optional[CheckOf]], Iterator[Batch]]
 """Function that reads the messages of a read that satisfy a condition as batches. The second
 argument returns the check of the condition in a table; None = all messages satisfy it."""
+LEAST_TOGETHER = 32
+"""Minimum number of messages, for each portion in which they were read, of which columns are read.
+Below it rows are faster."""
+PART_ROWS = 256
+"""Maximum number of rows, made of single messages, that are aggregated together."""
+PART_BYTES = 256 * 1024
+"""Size of their messages from which they are aggregated, bytes."""
 _MAX_DIGITS = 18
 """Maximum number of digits of a number in a cursor."""
 
 
-def rows_inside(
-    source: Source[RowT_co], bounds: Bounds, limit: int | None = None
-) -> Iterator[RowT_co]:
-    """Yield the rows of a topic within bounds, at most as many as the limit."""
-    if bounds.read.wanted is None:
-        bounds = replace(bounds, read=replace(bounds.read, wanted=limit))
+def rows_inside(source: Source[RowT_co], bounds: Bounds) -> Iterator[RowT_co]:
+    """Yield the rows of a topic within bounds."""
     if bounds.read.only is None or bounds.empty:
-        return islice(chain.from_iterable(map(source.read, bounds.reads())), limit)
+        return chain.from_iterable(map(source.read, bounds.reads()))
     try:
-        return islice(source.read(bounds.read), limit)
+        return source.read(bounds.read)
     except InvalidKey:
         return iter(())  # no message has an invalid name
+
+
+class StatementSource(Source[RowT_co], Protocol[RowT_co]):
+    """A topic that answers statements."""
+
+    def in_order(self, read: Read, least: LeastOf) -> Iterator[RowT_co | Window]:
+        """Yield the messages of ``read`` in the same order; many may come together.
+
+        Args:
+            read: What is read; ``only`` is not set.
+            least: Minimum number of messages of a table that come together; see LeastOf.
+        """
+
+
+_Message = Union[Row, Window]
+"""A row, or consecutive messages together."""
 
 
 def _is_at(row: Row, place: Position, source: Source[RowT_co]) -> bool:
@@ -253,7 +282,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __init__(
         self,
         select: Select,
-        source: Source[Row],
+        source: StatementSource[Row],
         whose: Whose = EVERYBODY,
         *,
         limit: int | None = None,
@@ -270,12 +299,14 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if not any(table.named for table in tables):
             _warn_of_units(select, source)
         self._place = place = read_cursor(after)
-        """Place at which a later result continues while ``_row`` is None."""
+        """Place at which a later result continues while ``_last`` is None."""
         self._given = self._skip = 0
         """The same while it is a message: its other fields, see ResultPlace."""
-        self._row: Row | None = None
-        """Message that gave the last result row; None = no row was taken, or several gave it."""
+        self._last: Callable[[], Position] | None = None
+        """Returns the position of the message that gave the last result row; None = no row was
+        taken, or several messages gave it."""
         self._projections = Projections(select, tables)
+        self._readers: dict[Table, ResultColumns | None] = {}
         visible_names = self._projections.names[: len(select.visible)]
         self.columns = tuple(name for names in visible_names for name in names)
         condition = None if bounds.whole else select.condition
@@ -321,10 +352,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     @property
     def cursor(self) -> str:
         """Cursor to continue after the last row that was taken; '' at the beginning."""
-        row = self._row
-        return (
-            self._place if row is None else ResultPlace(self._given, self._skip, row.position)
-        ).text
+        last = self._last
+        return (self._place if last is None else ResultPlace(self._given, self._skip, last())).text
 
     @property
     def position(self) -> Position | None:
@@ -332,7 +361,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
         None: made of several messages, or no row taken.
         """
-        return None if self._row is None else self._row.position
+        return None if self._last is None else self._last()
 
     def close(self) -> None:
         """Stop reading. Can be repeated."""
@@ -361,7 +390,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if last == count:
             return
         cursor, table = place.position, None
-        for row in self._stored_rows(place):
+        for row in self._messages(place):
+            if isinstance(row, Window):
+                window, columns = self._read_window(row)
+                for n, result in enumerate(rows_of(columns)):
+                    count += 1
+                    self._given, self._skip = count, 0
+                    self._last = partial(window.position_of, n)
+                    yield result
+                    if count == last:
+                        return
+                continue
             if row.table is not table:
                 table = row.table
                 rows = self._projections.of(table).rows
@@ -378,19 +417,19 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                     count += 1
                     # All rows of the message were returned: continue after it.
                     self._given, self._skip = count, 0 if next_values is None else number
-                    self._row = row
+                    self._last = partial(_position, row)
                     yield values
                     if count == last:
                         return
                 values = next_values
 
-    def _stored_rows(self, place: ResultPlace) -> Iterator[Row]:
+    def _messages(self, place: ResultPlace) -> Iterator[_Message]:
         """Yield the messages after a place, with that at the place if some of its rows remain."""
         at, bounds = place.position, self._bounds
         reverse = bounds.read.reverse
         if at is None or not (place.skip or reverse):
             bounds = replace(bounds, read=replace(bounds.read, after=at))
-            return self._read(bounds, self._max_rows if self.direct else None)
+            return self._read_together(bounds)
         # Begin with the message at the cursor, because some of its rows may be missing, and the
         # store can continue after a position only in ascending order.
         cut_bounds = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
@@ -402,12 +441,49 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             )
         )
 
-    def _read(self, bounds: Bounds, limit: int | None = None) -> Iterator[Row]:
+    def _read(self, bounds: Bounds) -> Iterator[Row]:
         """Yield the messages within bounds, and count them."""
-        for row in rows_inside(self._source, bounds, limit):
+        for row in rows_inside(self._source, bounds):
             self.read += 1
             self._watch()
             yield row
+
+    def _read_together(self, bounds: Bounds) -> Iterator[_Message]:
+        """Yield the messages within bounds, many of them together, and count them."""
+        if bounds.read.only is not None and not bounds.empty:
+            yield from self._read(bounds)
+            return
+        for read in bounds.reads():
+            for message in self._source.in_order(read, self._least):
+                self.read += len(message) if isinstance(message, Window) else 1
+                self._watch()
+                yield message
+
+    def _least(self, table: Table) -> int | None:
+        """Return from how many messages of a table on columns of the result are read together."""
+        return None if self._reader_of(table) is None else LEAST_TOGETHER
+
+    def _reader_of(self, table: Table) -> ResultColumns | None:
+        """Return what reads columns of the result from batches of a table; None = not possible."""
+        if table not in self._readers:
+            projection = self._projections.of(table)
+            shared = self.select.gathers
+            self._readers[table] = ResultColumns.of(table.definition, projection, shared=shared)
+        return self._readers[table]
+
+    def _read_window(self, window: Window) -> tuple[Window, Columns]:
+        """Return the messages that satisfy the condition, and the columns of their rows."""
+        batches: list[StackedBatch] = []
+        parts: list[Columns] = []
+        for batch in window.batches:
+            reader = self._reader_of(batch.table)
+            if reader is None:
+                raise AssertionError("such messages come one by one")
+            batch, columns = reader.read(batch, check=not self._bounds.whole)
+            batches.append(batch)
+            parts.append(columns)
+        window = Window(batches)
+        return window, join_columns(parts, window.order)
 
     def _count_spans(self, low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         """Yield the time ranges of NEAR and EVENT, and count them."""
@@ -434,11 +510,39 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             count = self._source.count(bounds.read)
             self._matched = count > 0
             return iter([(count,) * len(select.aggregates)])
-        stored = self._read(bounds)
-        rows = chain.from_iterable(projections.of(row.table).rows(row) for row in stored)
-        first = list(islice(rows, 1))
+        parts = self._parts(bounds)
+        if not any(projections.names):  # DISTINCT of a field without fields
+            self._matched = any(list(projections.of(m.table).rows(m)) for m in self._read(bounds))
+            return iter([()] if self._matched else [])
+        first = list(islice(parts, 1))
         self._matched = bool(first)
-        return make_groups(select, projections.names, chain(first, rows), most)
+        return make_groups(select, projections.names, chain(first, parts), most)
+
+    def _parts(self, bounds: Bounds) -> Iterator[Columns]:
+        """Yield all columns of some rows at a time, in the order of reading."""
+        rows: list[ResultRow] = []
+        size = 0
+        for message in self._read_together(bounds):
+            if isinstance(message, Window):
+                if rows:
+                    yield columns_of(rows)
+                    rows, size = [], 0
+                window, columns = self._read_window(message)
+                if len(window):
+                    yield columns
+                continue
+            size += message.size
+            for row in self._projections.of(message.table).rows(message):
+                rows.append(row)
+                if len(rows) >= PART_ROWS or size >= PART_BYTES:
+                    yield columns_of(rows)
+                    rows, size = [], 0
+        if rows:
+            yield columns_of(rows)
+
+
+def _position(row: Row) -> Position:
+    return row.position
 
 
 def _warn_of_units(select: Select, source: Source[Row]) -> None:

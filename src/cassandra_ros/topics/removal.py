@@ -18,7 +18,7 @@ from cassandra_ros.store.tables.row_table import BlockKey
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.row_reader import current
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.stored_totals import buckets_of, group_by_bucket
 from cassandra_ros.topics.topic_table import TopicTable
 
 REMOVED_ROWS_AT_ONCE = 512
@@ -197,12 +197,9 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
             # The robot's way between the remaining poses may now lead over deleted ones.
             mine = {r.bucket for r in rows if whose.writers is None or r.writer in whose.writers}
             _withdraw_places(space, table, mine, low, high)
-        writers: dict[tuple[str, int], set[int]] = {}
-        for row in rows:
-            writers.setdefault((row.node, row.bucket), set()).add(row.writer)
-        for (node, bucket), row_writers in sorted(writers.items()):
+        for (node, bucket), bucket_rows in sorted(group_by_bucket(rows).items()):
             deletion = _deletion_in(space, (table, node, bucket))
-            deleted += deletion.time_range(read, row_writers, until_us)
+            deleted += deletion.time_range(read, {row.writer for row in bucket_rows}, until_us)
     return deleted
 
 

@@ -36,7 +36,6 @@ from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Value
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.query_result import BatchReader, Condition
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
-from cassandra_ros.topics.row_reader import until_whole
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
@@ -95,10 +94,7 @@ class Finder:
         return rows if self.where is None else filter(self.where.test, rows)
 
     def batches(self, key: AnyKey, to_key: AnyKey) -> ReadBatches:
-        """Return how to read the messages of ``many`` as batches, in any order.
-
-        The read raises TableReplaced if it has to be repeated, see ``until_whole``.
-        """
+        """Return how to read the messages of ``many`` as batches, in any order."""
         return partial(self._batches, self.read_of(key, to_key))
 
     def _batches(self, read: Read, parts: PartsOf) -> Iterator[Batch]:
@@ -126,7 +122,7 @@ class Finder:
             return count_rows(self.keyspace.directory, self.tables, read)
         # Without fields in the condition no message is needed, only its key.
         if self.where is not None and self.where.names_fields:
-            return until_whole(lambda: sum(map(len, self._batches(read, only_keys))))
+            return sum(map(len, self._batches(read, only_keys)))
         return sum(1 for _ in self._rows(read, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
@@ -158,7 +154,7 @@ class Finder:
         """Return the row that getData means by a key; None if there is no such row."""
         if nearest is not None:
             return self._near(key, nearest)
-        table = self._table_of(key) if self._is_exact(key) else None
+        table = self._table_of(key) if is_ours(key) and self.whose.has(key) else None
         if table is not None:
             return self._exact(key, table)
         read = self.one(key)
@@ -183,10 +179,6 @@ class Finder:
         row = None if table is None else self.keyspace.rows.exact(table, key)
         passes = row is None or self.where is None or self.where.test(row)
         return row if passes else None
-
-    def _is_exact(self, key: AnyKey) -> bool:
-        """Return whether the store gave this key, for a message of these robots and writers."""
-        return is_ours(key) and self.whose.has(key)
 
     def _near(self, key: AnyKey, nearest: str) -> StoredRow | None:
         """Return the row nearest to a time, one of NEAREST; None if no row is on that side."""

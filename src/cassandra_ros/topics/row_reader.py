@@ -5,17 +5,16 @@
 ``RowReader`` reads the rows of given tables. A read goes on while a table is replaced by another
 one, because its topic is converted (``FollowingReader``, ``followed``). The old table is dropped
 some seconds after the new one became visible. A reader of the old table then gets an error, and
-goes on in the new table after the last row that it yielded: rows have the same positions there. A
-read of batches ends with ``TableReplaced``.
+goes on in the new table after the last row that it yielded: rows have the same positions there,
+except those that were given another robot (``setRuns`` says what a read sees then).
 """
 
 from __future__ import annotations
 
 import heapq
-from contextlib import suppress
 from dataclasses import replace
 from itertools import repeat
-from typing import Callable, Iterable, Iterator, Sequence, TypeVar
+from typing import Callable, Iterable, Iterator, Mapping, Sequence, TypeVar, Union
 
 from cassandra_ros.errors import InvalidKey, TopicNotFound
 from cassandra_ros.keys import Position, RowName, is_after
@@ -25,9 +24,10 @@ from cassandra_ros.messages.wire.message_stacks import planes_of
 from cassandra_ros.query.arrays.batch import (
     Batch,
     CheckOf,
+    LeastOf,
     PartsOf,
     StackedBatch,
-    choose_groups,
+    Window,
     row_batches,
 )
 from cassandra_ros.query.protocols import Table
@@ -45,8 +45,9 @@ from cassandra_ros.store.rows.fetch import (
 )
 from cassandra_ros.store.rows.reader import read_portions, read_rows
 from cassandra_ros.store.tables.directory import Directory
+from cassandra_ros.store.tables.held_portions import rows_of
 from cassandra_ros.store.tables.row_table import TableRow
-from cassandra_ros.store.tables.table_layout import Portion
+from cassandra_ros.store.tables.table_layout import Portion, StackedMessages
 from cassandra_ros.topics.stored_row import StoredRow, chunks_ahead
 from cassandra_ros.topics.topic_table import TableSet, TopicTable
 
@@ -81,20 +82,20 @@ class RowReader:
         named = self._by_name([t for t in tables if t.named], read)
         return heapq.merge(rows, named, key=lambda row: row.position, reverse=read.reverse)
 
-    def batches(
-        self, tables: Sequence[TopicTable], read: Read, parts: PartsOf, check: CheckOf | None
-    ) -> Iterator[Batch]:
-        """Yield the messages of a time range as batches, in any order.
+    def in_order(
+        self, tables: Sequence[TopicTable], read: Read, least: LeastOf
+    ) -> Iterator[StoredRow | Window]:
+        """Yield the messages of a time range like ``read``; many of them come together.
 
         Args:
             tables: Tables whose keys are times.
-            read: What is read: ``reverse``, ``after`` and ``wanted`` are not set.
-            parts, check: As in ``portion_batches``.
+            read: What is read.
+            least: Minimum number of messages of a table that come together; see LeastOf.
         """
-        portions = read_portions(self._directory, tables, read)
-        for batch in portion_batches(portions, tables, parts, check):
+        messages = _rows_and_windows(read_portions(self._directory, tables, read), tables, least)
+        for message in chunks_ahead(messages):
             self._cassandra.require_open()  # so that an iterator ends when the connection is closed
-            yield batch
+            yield message
 
     def _stored_rows(
         self, rows: Iterable[TableRow], tables: Sequence[TopicTable]
@@ -229,21 +230,25 @@ class RowReader:
 
 
 def _passing(
-    rows: Iterable[StoredRow | StackedBatch], check: CheckOf
+    messages: Iterable[StoredRow | Window], check: CheckOf | None
 ) -> Iterator[StoredRow | StackedBatch]:
-    """Yield the rows, and the messages of batches, that satisfy a condition."""
+    """Yield the rows, and the messages of windows, that satisfy a condition; None = all do."""
     table: TopicTable | None = None
-    for row in rows:
-        if isinstance(row, StackedBatch):
-            passing = row.passing(check(row.table))
-            if len(passing):
-                yield passing
+    for message in messages:
+        if isinstance(message, Window):
+            for batch in message.batches:
+                passing = batch if check is None else batch.passing(check(batch.table))
+                if len(passing):
+                    yield passing
             continue
-        if row.table is not table:
-            table = row.table
+        if check is None:
+            yield message
+            continue
+        if message.table is not table:
+            table = message.table
             hit = check(table).hit
-        if hit(row):
-            yield row
+        if hit(message):
+            yield message
 
 
 def _inside(position: Position, read: Read) -> bool:
@@ -253,6 +258,7 @@ def _inside(position: Position, read: Read) -> bool:
 
 
 _T = TypeVar("_T")
+_Message = TypeVar("_Message", bound=Union[StoredRow, Window])
 Tables = Sequence[TopicTable]
 
 
@@ -316,9 +322,31 @@ class FollowingReader:
         self._rows = rows
 
     def read(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
-        """Yield rows in order; ``read.after`` may name a table that was replaced.
+        """Yield rows in order; ``read.after`` may name a table that was replaced."""
+        return self._follow(tables, read, self._rows.read)
 
-        Each turn of the loop reads the present tables from the last yielded row on.
+    def in_order(self, tables: Tables, read: Read, least: LeastOf) -> Iterator[StoredRow | Window]:
+        """Yield the messages of ``read`` in the same order; many of them come together.
+
+        Args:
+            tables: The tables that are read.
+            read: What is read; ``only`` is not set.
+            least: Minimum number of messages of a table that come together; see LeastOf.
+        """
+
+        def begin(tables: Tables, read: Read) -> Iterator[StoredRow | Window]:
+            if any(table.named for table in tables):
+                return self._rows.read(tables, read)
+            return self._rows.in_order(tables, read, least)
+
+        return self._follow(tables, read, begin)
+
+    def _follow(
+        self, tables: Tables, read: Read, begin: Callable[[Tables, Read], Iterator[_Message]]
+    ) -> Iterator[_Message]:
+        """Yield messages in order.
+
+        Each turn of the loop reads the present tables from the last yielded message on.
         """
         after, last = read.after, None
         while True:
@@ -327,20 +355,17 @@ class FollowingReader:
                 after = last.position
             start = None if after is None else after.among((t.name for t in tables), read.reverse)
             try:
-                rows = self._rows.read(tables, replace(read, after=start))
-                first = next(rows, None)
-                if last is None and _was_replaced(tables):
-                    continue  # no row was yielded yet
-                if first is not None:
-                    # A list stands for these tables alone: later ones need not be read.
-                    tables = list(tables)
-                    last = first
-                    yield first
-                for row in rows:
+                for row in begin(tables, replace(read, after=start)):
+                    if last is None:
+                        if _was_replaced(tables):
+                            break  # no row was yielded yet
+                        # A list stands for these tables alone: later ones need not be read.
+                        tables = list(tables)
                     last = row
                     yield row
-                if not _was_replaced(tables):
-                    return
+                else:
+                    if not _was_replaced(tables):
+                        return
             except TopicNotFound as exc:
                 tables = _present_tables(tables, exc)
 
@@ -354,10 +379,6 @@ class FollowingReader:
             read: What is read: ``reverse``, ``after``, ``wanted`` and ``columns`` are not set.
             parts: What is read of the rows of a table.
             check: The check of the condition; None = all messages satisfy it.
-
-        Raises:
-            TableReplaced: A table was replaced after the first batch. It is raised after the last
-                batch at the latest: the read does not go on in the new table.
         """
 
         def columns(table: Table) -> Sequence[str] | None:
@@ -368,29 +389,12 @@ class FollowingReader:
             return check(table).columns if parts(table).only_keys else None
 
         read = replace(read, columns=columns)
-        if read.only is not None or any(table.named for table in current(tables)):
-            rows = self.read(tables, read)
-            yield from row_batches(rows if check is None else _passing(rows, check), parts)
-            return
-        begun = False
-        while not begun:
-            tables = current(tables)
-            try:
-                batches = self._rows.batches(tables, read, parts, check)
-                first = next(batches, None)
-                if _was_replaced(tables):
-                    continue  # no batch was yielded yet
-                if first is None:
-                    return
-                # A list stands for these tables alone: later ones need not be read.
-                tables, begun = list(tables), True
-                yield first
-                yield from batches
-                if not _was_replaced(tables):
-                    return
-            except TopicNotFound as exc:
-                tables = _present_tables(tables, exc)
-        raise TableReplaced("a table was replaced while the topic was read")
+        messages: Iterator[StoredRow | Window]
+        if read.only is None:
+            messages = self.in_order(tables, read, lambda table: 1)
+        else:
+            messages = self.read(tables, read)
+        yield from row_batches(_passing(messages, check), parts)
 
     def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times."""
@@ -424,45 +428,68 @@ class FollowingReader:
         return followed(tables, lambda now: self._rows.beside(now, t, whose, ways))
 
 
-class TableReplaced(TopicNotFound):
-    """A table was replaced while batches were read, which have to be read again."""
-
-
-def until_whole(work: Callable[[], _T]) -> _T:
-    """Call what reads batches; call it again while a table was replaced during the read."""
-    while True:
-        with suppress(TableReplaced):
-            return work()
-
-
 def portion_batches(
-    portions: Iterable[Portion],
-    tables: Sequence[TopicTable],
-    parts: PartsOf,
-    check: CheckOf | None = None,
+    messages: Iterable[TableRow | Portion], table: TopicTable, parts: PartsOf
 ) -> Iterator[Batch]:
-    """Yield the messages of portions that satisfy a condition, as batches, in any order.
+    """Yield messages of one table as batches, in any order.
 
     Args:
-        portions: The messages as they were read.
-        tables: Their tables.
-        parts: What is read of the messages that do not lie together.
-        check: The check of the condition; None = all messages satisfy it.
+        messages: The messages as they were read.
+        table: Their table.
+        parts: What is read of the messages that are rows.
     """
-    read = chunks_ahead(_rows_and_batches(portions, tables))
-    return row_batches(read if check is None else _passing(read, check), parts)
+    pieces = (message if isinstance(message, TableRow) else [message] for message in messages)
+    read = _rows_and_windows(pieces, [table], lambda table: 1)
+    return row_batches(_passing(chunks_ahead(read), None), parts)
 
 
-def _rows_and_batches(
-    portions: Iterable[Portion], tables: Sequence[TopicTable]
-) -> Iterator[StoredRow | StackedBatch]:
-    """Yield the messages of portions: those that lie together as batches, the others as rows."""
+def _rows_and_windows(
+    messages: Iterable[TableRow | Sequence[Portion]],
+    tables: Sequence[TopicTable],
+    least: LeastOf,
+) -> Iterator[StoredRow | Window]:
+    """Yield rows, and portions as windows, or as rows if there are fewer messages than ``least``.
+
+    Args:
+        messages: Rows, and portions whose messages may lie between each other.
+        tables: Their tables.
+        least: Function of a table that returns for a portion how many messages are enough; None =
+            they come one by one.
+    """
     by_name = {table.name: table for table in tables}
+    for message in messages:
+        if isinstance(message, TableRow):
+            yield StoredRow(message, by_name[message.table])
+            continue
+        batches = _batches_of(message, by_name, least)
+        if batches is None:
+            for row in rows_of(message):
+                yield StoredRow(row, by_name[row.table])
+        elif batches:
+            yield Window(batches)
+
+
+def _batches_of(
+    portions: Sequence[Portion], tables: Mapping[str, TopicTable], least: LeastOf
+) -> list[StackedBatch] | None:
+    """Return the batches of portions; None = they have to come one by one."""
+    leasts = {name: least(tables[name]) for name in {p.table.name for p in portions}}
+    if None in leasts.values():
+        return None
+    batches: list[StackedBatch] = []
+    needed = 0
     for portion in portions:
-        table = by_name[portion.table.name]
-        if len(portion.times):
-            groups = [(n, planes_of(stored, rises)) for n, stored, rises in portion.groups]
-            chosen = groups if portion.chosen is None else choose_groups(groups, portion.chosen)
-            times, seqs, unsure = portion.times, portion.seqs, portion.unsure
-            yield StackedBatch(table, portion.node, times, seqs, chosen, unsure)
-        yield from map(StoredRow, portion.rows, repeat(table))
+        stacked = portion.stacked()
+        if stacked is None:
+            return None  # the warning comes with the row
+        if len(stacked.times):
+            batches.append(_batch_of(tables[portion.table.name], stacked))
+            needed += leasts[portion.table.name] or 0
+    return batches if sum(map(len, batches)) >= needed else None
+
+
+def _batch_of(table: TopicTable, stacked: StackedMessages) -> StackedBatch:
+    """Return messages that lie together as a batch."""
+    groups = [(n, planes_of(stored, rises)) for n, stored, rises in stacked.groups]
+    _, node, times, seqs, _, chosen, unsure = stacked
+    return StackedBatch(table, node, times, seqs, groups, chosen, unsure)

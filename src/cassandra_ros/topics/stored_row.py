@@ -22,7 +22,7 @@ from cassandra_ros.messages.classes import deserialize, deserialize_all
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.printable import public_names
-from cassandra_ros.query.arrays.batch import Batch
+from cassandra_ros.query.arrays.batch import Window
 from cassandra_ros.store.connection.cassandra import Cassandra
 from cassandra_ros.store.rows.fetch import ask_chunks, fetch_row, read_chunks
 from cassandra_ros.store.tables.row_table import BlockKey, SentRequest, TableRow
@@ -32,11 +32,11 @@ MessageIdentity = Tuple[int, str, int, str]
 """Key time (ns), node, seq and name of a message."""
 Key = Union[Stamp, RowName]
 """Key by which one stored message is found again: its time, or its name."""
-_Batch = TypeVar("_Batch", bound=Batch)
 LARGE_AHEAD_BYTES = 8 * 1024 * 1024
 """Approximate maximum number of bytes of large messages that are requested or wait here."""
 AHEAD_ROWS = 64
 """Maximum number of rows that wait here: rows of other sizes may be between the large ones."""
+_Window = TypeVar("_Window", bound=Window)
 
 
 class StoredRow:
@@ -223,24 +223,22 @@ def read_wire(table: TopicTable, row: TableRow, sent: SentRequest | None = None)
     return wire
 
 
-def chunks_ahead(rows: Iterable[StoredRow | _Batch]) -> Iterator[StoredRow | _Batch]:
-    """Yield rows as they come, with the chunks of the next large ones requested ahead.
-
-    A batch among the rows is yielded at once.
+def chunks_ahead(rows: Iterable[StoredRow | _Window]) -> Iterator[StoredRow | _Window]:
+    """Yield rows, and windows among them, in order, with the next large rows requested ahead.
 
     Only for readers that need the messages. The first large message is requested when its bytes are
     accessed. While every yielded message is accessed, more and more are requested ahead; after one
     that was not, this begins anew.
     """
-    waiting: deque[tuple[StoredRow, int]] = deque()
-    """Rows, and the number of bytes of each that have been requested."""
+    waiting: deque[tuple[StoredRow | _Window, int]] = deque()
+    """Rows and windows, and the number of bytes of each that have been requested or are here."""
     ahead_bytes = budget = 0
     for row in rows:
-        if isinstance(row, Batch) or not (waiting or row.chunked):
+        if not waiting and (isinstance(row, Window) or not row.chunked):
             yield row
             continue
-        nbytes = row.size if row.chunked and budget else 0
-        if nbytes:
+        nbytes = row.size if budget and (isinstance(row, Window) or row.chunked) else 0
+        if nbytes and not isinstance(row, Window):
             row.ask()
         waiting.append((row, nbytes))
         ahead_bytes += nbytes
@@ -248,7 +246,7 @@ def chunks_ahead(rows: Iterable[StoredRow | _Batch]) -> Iterator[StoredRow | _Ba
             first, nbytes = waiting.popleft()
             ahead_bytes -= nbytes
             yield first
-            if first.chunked:
+            if not isinstance(first, Window) and first.chunked:
                 budget = min(LARGE_AHEAD_BYTES, 2 * budget + first.size) if first.was_read else 0
     while waiting:
         yield waiting.popleft()[0]

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Sequence
+from typing import Iterable, Iterator, Sequence
 
-from cassandra_ros.keys import MAX_NS, SECOND_NS
+from cassandra_ros.keys import MAX_NS, SECOND_NS, writer_of
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
 from cassandra_ros.read import ALWAYS, EVERYBODY, Read, TimeRange, Whose
@@ -19,6 +19,9 @@ from cassandra_ros.store.tables.directory import BucketRow, BucketTotals, Direct
 from cassandra_ros.store.tables.registry import Loss
 from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
+
+ALL_BUCKETS = (-(2**63), 2**63 - 1)
+"""First and last bucket, and slot, of any table."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,10 +102,7 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
     else:
         rows = buckets_of(directory, table, whose, ends)
     inner = [row for row in rows if first <= row.bucket <= last]
-    edges: dict[tuple[str, int], list[BucketRow]] = {}
-    for row in rows:
-        if not first <= row.bucket <= last:
-            edges.setdefault((row.node, row.bucket), []).append(row)
+    edges = group_by_bucket(row for row in rows if not first <= row.bucket <= last)
     count += sum(row.rows for row in recount_open_buckets(directory, table, inner))
     return count + sum(_count_edge(table, group, read) for group in edges.values())
 
@@ -124,13 +124,20 @@ def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) 
     """
 
     def holds(now: Sequence[TopicTable]) -> bool:
-        timed = (t for t in now if not t.named)
-        names = (key for t in now if t.named for key in list_names(t, whose.nodes))
-        return any(buckets_of(directory, t, whose) for t in timed) or any(
-            whose.wrote(key.position.seq) for key in names
-        )
+        timed_first = sorted(now, key=lambda table: table.named)
+        return any(True for table in timed_first for _ in writers_of(directory, table, whose))
 
     return followed(tables, holds)
+
+
+def writers_of(
+    directory: Directory, table: TopicTable, whose: Whose = EVERYBODY
+) -> Iterator[tuple[int, str]]:
+    """Yield writer id and nodeID of each bucket of a table, or of each message with a name."""
+    if table.named:
+        positions = (key.position for key in list_names(table, whose.nodes))
+        return ((writer_of(p.seq), p.node) for p in positions if whose.wrote(p.seq))
+    return ((row.writer, row.node) for row in buckets_of(directory, table, whose))
 
 
 def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
@@ -192,11 +199,19 @@ def buckets_of(
     directory: Directory,
     table: TopicTable,
     whose: Whose = EVERYBODY,
-    ends: tuple[int, int] = (-(2**63), 2**63 - 1),
+    ends: tuple[int, int] = ALL_BUCKETS,
 ) -> list[BucketRow]:
     """Return the buckets of a table with messages of ``whose``, one row for each writer."""
     rows = directory.buckets(table.name, table.metadata, *ends, whose.nodes)
     return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
+
+
+def group_by_bucket(rows: Iterable[BucketRow]) -> dict[tuple[str, int], list[BucketRow]]:
+    """Return the rows of each bucket, one for each writer, by nodeID and number of the bucket."""
+    groups: dict[tuple[str, int], list[BucketRow]] = {}
+    for row in rows:
+        groups.setdefault((row.node, row.bucket), []).append(row)
+    return groups
 
 
 def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:

@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import logging
-from typing import Iterable, Iterator, Sequence, TypeVar
+from typing import Iterable, Iterator, Sequence
 from weakref import WeakSet
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.query.plan.bounds import disk_of
+from cassandra_ros.query.plan.bounds import disk_of, distinct
 from cassandra_ros.query.protocols import WGS84, Stays, Table
 from cassandra_ros.query.tree.syntax import (
     TIMED,
@@ -28,7 +28,6 @@ from cassandra_ros.query.tree.syntax import (
 from cassandra_ros.read import Read
 
 _log = logging.getLogger(__name__)
-_T = TypeVar("_T")
 _told: WeakSet[Stays] = WeakSet()
 """Lookups of places of which a warning said that they find no robot. Several topics may share one,
 which is told once."""
@@ -67,8 +66,8 @@ def _unknown_names(
     condition: Expression | None, tables: Sequence[Table], read: Read
 ) -> Iterator[str]:
     """Yield the reason for each name in a condition that finds nothing."""
-    runs = _distinct([table.runs for table in tables])
-    events = _distinct([table.events for table in tables])
+    runs = distinct(table.runs for table in tables)
+    events = distinct(table.events for table in tables)
     for leaf in leaves(condition) if tables else ():
         if isinstance(leaf, Near):
             yield from filter(None, [_no_robot_near(leaf, read)])
@@ -116,7 +115,3 @@ def _no_robot_near(near: Near, read: Read) -> str:
         "y are metres in this frame, no latitude and longitude: these take a radius with its unit, "
         "as NEAR(43.47, -80.54, 20m)"
     )
-
-
-def _distinct(sources: Sequence[_T]) -> list[_T]:
-    return list({id(source): source for source in sources}.values())

@@ -14,10 +14,10 @@ from typing import Callable, Mapping, Sequence, TypeVar
 from cassandra_ros.arguments import check_node, spellings
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.client.sql.statement_processes import StatementProcesses
-from cassandra_ros.errors import InvalidKey, InvalidOption
-from cassandra_ros.messages.stamps import written_time_ns
+from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidOption
+from cassandra_ros.messages.stamps import Stamp, written_time_ns
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
-from cassandra_ros.read import Whose
+from cassandra_ros.read import LAST_NS, TimeRange, Whose
 from cassandra_ros.stores.fleet.fleet import Fleet
 from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
 from cassandra_ros.stores.fleet.fleet_topic import find_topic
@@ -43,6 +43,10 @@ WHOLE_RANGE = (
     Parameter("end", "time", "Last time, included; missing: that of the last message."),
 )
 """Time range of routes that take all messages without it."""
+
+
+class ClientGone(CassandraRosError):
+    """The client does not wait for the answer any more."""
 
 
 class ApiCall:
@@ -155,6 +159,22 @@ class ApiCall:
         """
         return self._read(name, "time", written_time_ns)
 
+    def stamp(self, name: str) -> Stamp | None:
+        """Return a parameter of kind time as a Stamp; raises like ``time_ns``.
+
+        As a key, a small integer would mean seconds.
+        """
+        ns = self.time_ns(name)
+        return None if ns is None else Stamp.from_ns(ns)
+
+    def time_range(self) -> TimeRange:
+        """Return the time range of the parameters ``start`` and ``end``; raises like ``time_ns``.
+
+        A missing one is the limit of all times.
+        """
+        start, end = self.time_ns("start"), self.time_ns("end")
+        return TimeRange(start or 0, LAST_NS if end is None else end)
+
     def number(self, name: str) -> float | None:
         """Return a parameter of kind number; its default if it is missing.
 
@@ -178,6 +198,11 @@ class ApiCall:
             InvalidOption: The value is neither true nor false.
         """
         return bool(self._read(name, "flag", _read_flag))
+
+    def watch(self) -> None:
+        """Raise ClientGone if the client has disconnected; see Watch."""
+        if self.gone.is_set():
+            raise ClientGone("the client does not wait for the answer any more")
 
     def _parameter(self, name: str, kind: str) -> Parameter:
         parameter = self._known[name]

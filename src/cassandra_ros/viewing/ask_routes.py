@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Callable, Iterable, Sequence
+from typing import Iterable, Sequence
 
 from cassandra_ros.client.sql.sql_completion import complete_sql
-from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidOption, TopicNotFound
+from cassandra_ros.errors import AnswerTooLarge, InvalidOption, TopicNotFound
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.arrays.array_types import column_types
 from cassandra_ros.query.arrays.envelope import Grid, Points
@@ -34,7 +34,7 @@ from cassandra_ros.topics.overview.plot_series import MOST_PIXELS, PIXELS, PlotW
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import NODES, RUNS, WHOLE_RANGE, ApiCall, whose_of
-from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
+from cassandra_ros.viewing.catalog_routes import limit_parameter, listed_at_most
 from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.sql_answers import sql_plan, sql_plot, sql_rows
@@ -50,20 +50,6 @@ BUDGET_SEC = 0.6
 """Default time after which an incomplete plot is answered, s."""
 LANGUAGES = ("cql", "sql")
 """Languages of statements: our query language, and DuckDB's SQL over all topics."""
-
-
-class ClientGone(CassandraRosError):
-    """The client does not wait for the answer any more."""
-
-
-def watch_of(call: ApiCall) -> Callable[[], None]:
-    """Return a function that raises ClientGone if the client has disconnected."""
-
-    def watch() -> None:
-        if call.gone.is_set():
-            raise ClientGone("the client does not wait for the answer any more")
-
-    return watch
 
 
 def is_sql(call: ApiCall) -> bool:
@@ -97,7 +83,7 @@ def _query(call: ApiCall) -> Json:
     """Answer with a page of a statement's rows."""
     limit = min(call.count("limit") or ANSWER_PAGE_ROWS, MAX_ANSWER_PAGE_ROWS)
     if is_sql(call):
-        return sql_rows(call, limit, ANSWER_PAGE_BYTES, watch_of(call))
+        return sql_rows(call, limit, ANSWER_PAGE_BYTES)
     select = statement_of(call)
     tables = call.store.statements.topic_of(select).tables
     result = call.store.statements.select(
@@ -105,7 +91,7 @@ def _query(call: ApiCall) -> Json:
         node=one_node(call),
         run=whose_of(call).writers,
         after=call.text("after"),
-        watch=watch_of(call),
+        watch=call.watch,
     )
     with result:
         return page_of(call, result, tables, limit)
@@ -169,9 +155,9 @@ def _kinds(result: QueryResult, tables: Sequence[Table]) -> Json:
 def _explain(call: ApiCall) -> Json:
     """Run a statement to its end and answer how it was run."""
     if is_sql(call):
-        return sql_plan(call, watch_of(call))
+        return sql_plan(call)
     plan = call.store.statements.explain(
-        statement_of(call), node=one_node(call), run=whose_of(call).writers, watch=watch_of(call)
+        statement_of(call), node=one_node(call), run=whose_of(call).writers, watch=call.watch
     )
     return {"text": str(plan), **vars(plan)}
 
@@ -222,7 +208,7 @@ def _plot(call: ApiCall) -> Json:
     """Answer with the minimum and the maximum of each pixel."""
     window = window_of(call)
     if is_sql(call):
-        drawn = sql_plot(call, (window.low, window.high), window.pixels, watch_of(call))
+        drawn = sql_plot(call, (window.low, window.high), window.pixels)
         lines = _lines([(name, "") for name in drawn.columns], drawn.points)
         return _picture("", lines, drawn.left_out, drawn.grid, drawn.points)
     series = call.store.statements.series(
@@ -231,7 +217,7 @@ def _plot(call: ApiCall) -> Json:
         node=one_node(call),
         run=whose_of(call).writers,
         cache=call.cached(_cache),
-        watch=watch_of(call),
+        watch=call.watch,
     )
     return shown_series(series)
 
@@ -380,9 +366,7 @@ ROUTES: tuple[Route, ...] = (
         (
             Parameter("q", "text", "The statement, as far as it is typed.", default=""),
             Parameter("at", "count", "Position in characters; missing: the end."),
-            Parameter(
-                "limit", "count", f"Maximum number of offers, to {MAX_LISTED}.", default=MAX_OFFERS
-            ),
+            limit_parameter("offers", MAX_OFFERS),
             _LANGUAGE,
         ),
     ),

@@ -10,6 +10,7 @@ from typing import Iterable, Sequence
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.stores.fleet.fleet_info import FleetTopicInfo
 from cassandra_ros.stores.fleet.fleet_topic import FleetTopic
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
@@ -78,19 +79,26 @@ def _distinct(texts: Iterable[str]) -> list[Json]:
     return list(dict.fromkeys(texts))
 
 
-def _counts(infos: Sequence[TopicInfo]) -> dict[str, Json]:
-    """Return the counts of a topic, in total and by table and robot."""
+def totals(infos: Sequence[TopicInfo | FleetTopicInfo]) -> dict[str, Json]:
+    """Return the robots, the counts and the time range of a topic."""
     starts = [info.first_ns for info in infos if info.first_ns is not None]
     ends = [info.last_ns for info in infos if info.last_ns is not None]
-    fullest = max(infos, key=lambda info: info.count, default=None)
-    # A topic in two formats has its losses at both.
-    lost = {info.node: info.lost for info in infos}
     return {
         "nodes": _distinct(info.node for info in infos if info.count),
         "messages": sum(info.count for info in infos),
         "bytes": sum(info.bytes for info in infos),
         "start": shown_ns(min(starts, default=None)),
         "end": shown_ns(max(ends, default=None)),
+    }
+
+
+def _counts(infos: Sequence[TopicInfo]) -> dict[str, Json]:
+    """Return the counts of a topic, in total and by table and robot."""
+    fullest = max(infos, key=lambda info: info.count, default=None)
+    # A topic in two formats has its losses at both.
+    lost = {info.node: info.lost for info in infos}
+    return {
+        **totals(infos),
         # The rate of one robot: the sum over several robots would mislead.
         "rate_hz": None if fullest is None else fullest.rate_hz,
         "lost": sum(lost.values()),
@@ -141,6 +149,12 @@ def listed_runs(call: ApiCall, runs: Iterable[Run]) -> dict[str, Json]:
     selected.sort(key=lambda run: str(run.started), reverse=True)
     listed: list[Json] = [_run(run, by_topic, counts) for run in selected[:limit]]
     return {"runs": listed, "left_off": max(len(selected) - limit, 0)}
+
+
+def limit_parameter(what: str, default: int) -> Parameter:
+    """Return the parameter that ``listed_at_most`` reads; ``what`` is listed."""
+    text = f"Maximum number of {what}, to {MAX_LISTED}."
+    return Parameter("limit", "count", text, default=default)
 
 
 def listed_at_most(call: ApiCall) -> int:
@@ -197,9 +211,7 @@ ROUTES: tuple[Route, ...] = (
         "Recordings and imports, the latest first: state, labels, stored and lost messages.",
         (
             RUNS,
-            Parameter(
-                "limit", "count", f"Maximum number of runs, to {MAX_LISTED}.", default=_USUAL_RUNS
-            ),
+            limit_parameter("runs", _USUAL_RUNS),
             Parameter("by_topic", "flag", "Add stored_of and lost_of, messages by topic."),
             Parameter(
                 "counts",

@@ -14,7 +14,7 @@ import shutil
 import tempfile
 import threading
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Callable, Iterator
 
@@ -76,20 +76,6 @@ class CacheEntry:
                 break
         return self.bytes
 
-
-class Lease:
-    """One request's use of a file; a context manager, at whose end the request stops waiting."""
-
-    def __init__(self, cache: DownloadCache, entry: CacheEntry) -> None:
-        self._cache = cache
-        self.entry = entry
-
-    def __enter__(self) -> Lease:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._cache.release(self.entry)
-
     def wait(self, gone: threading.Event) -> Path:
         """Wait until the file is complete; return its path.
 
@@ -100,33 +86,32 @@ class Lease:
             StoreUnavailable: The client has disconnected, or the store does not answer.
             CassandraRosError: The error that ended the writing.
         """
-        entry = self.entry
-        while not entry.done.wait(_LOOK_SEC):
+        while not self.done.wait(_LOOK_SEC):
             if gone.is_set():
-                raise StoreUnavailable(f"the client does not wait for {entry.path.name} any more")
-        if entry.error is not None:
-            raise entry.error
-        return entry.path
+                raise StoreUnavailable(f"the client does not wait for {self.path.name} any more")
+        if self.error is not None:
+            raise self.error
+        return self.path
 
     def follow(self, gone: threading.Event) -> Iterator[bytes]:
-        """Yield the bytes of a file while it is written from its beginning to its end.
+        """Yield the bytes of the file while it is written from its beginning to its end.
 
         Arguments and errors are those of ``wait``; an error may come after the first bytes.
         """
-        entry, stream = self.entry, None
+        stream: IO[bytes] | None = None
         try:
             while not gone.is_set():
-                done = entry.done.is_set()  # checked first: bytes read after it are complete
-                stream = stream or _open_any(entry.path)
+                done = self.done.is_set()  # checked first: bytes read after it are complete
+                stream = stream or _open_any(self.path)
                 chunk = stream.read(_FILE_READ_BYTES) if stream is not None else b""
                 if chunk:
                     yield chunk
-                elif done and entry.error is not None:
-                    raise entry.error
+                elif done and self.error is not None:
+                    raise self.error
                 elif done:
                     return
                 else:
-                    entry.done.wait(_LOOK_SEC / 4)
+                    self.done.wait(_LOOK_SEC / 4)
         finally:
             if stream is not None:
                 stream.close()
@@ -173,8 +158,9 @@ class DownloadCache:
             if entry.ready and not entry.path.exists():
                 del self._entries[key]
 
-    def lease(self, key: str, request: str, name: str, write: Write) -> Lease:
-        """Return a lease of a file, which the first request for it has written.
+    @contextmanager
+    def lease(self, key: str, request: str, name: str, write: Write) -> Iterator[CacheEntry]:
+        """Use a file, which the first request for it has written; at the end stop waiting for it.
 
         Args:
             key: Identity of the content: hexadecimal digits.
@@ -197,7 +183,15 @@ class DownloadCache:
                 entry = self._begin(key, request, name, write)
             entry.waiting += 1
             entry.used = time.monotonic()
-        return Lease(self, entry)
+        try:
+            yield entry
+        finally:
+            with self._mutex:
+                entry.waiting -= 1
+                # The request may have waited long, and opens the file now.
+                entry.used = time.monotonic()
+                if not entry.waiting and not entry.done.is_set():
+                    entry.abandoned = True
 
     def _begin(self, key: str, request: str, name: str, write: Write) -> CacheEntry:
         try:
@@ -215,14 +209,6 @@ class DownloadCache:
         self._threads.add(thread)
         thread.start()
         return entry
-
-    def release(self, entry: CacheEntry) -> None:
-        """End a request's use of a file."""
-        with self._mutex:
-            entry.waiting -= 1
-            entry.used = time.monotonic()  # the request may have waited long and opens the file now
-            if not entry.waiting and not entry.done.is_set():
-                entry.abandoned = True
 
     def _write(self, entry: CacheEntry, write: Write) -> None:
         looked = 0

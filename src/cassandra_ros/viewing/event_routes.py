@@ -14,12 +14,12 @@ from typing import Iterable, Iterator, Mapping
 
 from cassandra_ros.errors import AccessDenied
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.read import LAST_NS, Read, TimeRange
+from cassandra_ros.read import Read
 from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.store.tables.registry import Loss, Run
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import END, NODES, RUNS, START, ApiCall, whose_of
-from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most, shown_ns
+from cassandra_ros.viewing.catalog_routes import limit_parameter, listed_at_most, shown_ns
 from cassandra_ros.viewing.lossless_json import JsonConverter
 from cassandra_ros.viewing.route import Parameter, Route
 
@@ -30,14 +30,8 @@ _MAX_SEARCHED = 100_000
 
 
 def _events(call: ApiCall) -> Json:
-    find = call.catalog.keyspace.events.find
-    return listed_events(call, find(call.text("name"), within=within(call), whose=whose_of(call)))
-
-
-def within(call: ApiCall) -> TimeRange:
-    """Return the time range of the parameters ``start`` and ``end``."""
-    start, end = call.time_ns("start"), call.time_ns("end")
-    return TimeRange(start or 0, LAST_NS if end is None else end)
+    table, name = call.catalog.keyspace.events, call.text("name")
+    return listed_events(call, table.find(name, within=call.time_range(), whose=whose_of(call)))
 
 
 def listed_events(call: ApiCall, events: Iterator[Event]) -> dict[str, Json]:
@@ -87,13 +81,14 @@ def _exact(value: object) -> Json:
 
 @dataclass(frozen=True)
 class TimelineMark:
-    """An event at a time or in a time range."""
+    """An event at a time or in a time range; the fields are the keys of the answer."""
 
     kind: str
     """'begin' or 'end' of a recording, or 'loss'."""
-    first_ns: int
-    last_ns: int
-    """End of a loss, included, ns; the same as first_ns for other kinds."""
+    start: int
+    """Time, ns."""
+    end: int
+    """End of a loss, included, ns; the same as start for other kinds."""
     node: str
     run: str
     """Name of the run, or its writer id if it has no name."""
@@ -104,22 +99,9 @@ class TimelineMark:
     count: int | None = None
     """Number of lost messages; None = not known."""
 
-    def answer(self) -> dict[str, Json]:
-        """Return the mark as JSON."""
-        return {
-            "kind": self.kind,
-            "start": str(self.first_ns),
-            "end": str(self.last_ns),
-            "node": self.node,
-            "run": self.run,
-            "text": self.text,
-            "topic": self.topic,
-            "count": self.count,
-        }
-
 
 def _marks(call: ApiCall) -> Json:
-    keyspace, read = call.catalog.keyspace, Read(within(call), whose_of(call))
+    keyspace, read = call.catalog.keyspace, Read(call.time_range(), whose_of(call))
     losses = keyspace.runs.losses(call.texts("topics") or None, read)
     return listed_marks(call, keyspace.registry.runs(), losses, read)
 
@@ -136,10 +118,12 @@ def listed_marks(
             whose.writers is None or run.writer in whose.writers
         ):
             marks += [
-                mark for mark in _of_run(run) if time_range.low <= mark.first_ns <= time_range.high
+                mark for mark in _of_run(run) if time_range.low <= mark.start <= time_range.high
             ]
-    marks.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
-    listed: list[Json] = [mark.answer() for mark in marks[:limit]]
+    marks.sort(key=lambda mark: (mark.start, mark.kind, mark.topic))
+    listed: list[Json] = [
+        {**vars(mark), "start": str(mark.start), "end": str(mark.end)} for mark in marks[:limit]
+    ]
     return {"marks": listed, "left_off": max(len(marks) - limit, 0)}
 
 
@@ -147,8 +131,8 @@ def _of_loss(loss: Loss, runs: Mapping[tuple[int, str], Run]) -> TimelineMark:
     run = runs.get((loss.writer, loss.node))
     return TimelineMark(
         kind="loss",
-        first_ns=loss.first_ns,
-        last_ns=loss.last_ns,
+        start=loss.first_ns,
+        end=loss.last_ns,
         node=loss.node,
         run=run.name if run is not None and run.name else str(loss.writer),
         text=loss.kind.value,
@@ -180,9 +164,7 @@ ROUTES: tuple[Route, ...] = (
             Parameter("topics", "texts", "Topics whose losses are listed; missing: all topics."),
             NODES,
             RUNS,
-            Parameter(
-                "limit", "count", f"Maximum number of marks, to {MAX_LISTED}.", default=_USUAL_MARKS
-            ),
+            limit_parameter("marks", _USUAL_MARKS),
         ),
     ),
     Route(
@@ -196,12 +178,7 @@ ROUTES: tuple[Route, ...] = (
             Parameter("text", "text", "Text in the name, in capitals or not; missing: all names."),
             NODES,
             RUNS,
-            Parameter(
-                "limit",
-                "count",
-                f"Maximum number of events, to {MAX_LISTED}.",
-                default=_USUAL_EVENTS,
-            ),
+            limit_parameter("events", _USUAL_EVENTS),
         ),
     ),
     Route(

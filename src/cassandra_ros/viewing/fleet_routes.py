@@ -77,7 +77,7 @@ def _of_all(work: _Work, call: ApiCall) -> Answer:
             nothing.
     """
     fleet = call.fleet
-    stores = fleet.begin(ask_routes.watch_of(call))
+    stores = fleet.begin(call.watch)
     try:
         answer = settled(stores, lambda: work(call, stores))
     finally:
@@ -177,15 +177,9 @@ def _topics(call: ApiCall, stores: FleetAnswer) -> _Told:
 
 
 def _counts(infos: Sequence[FleetTopicInfo]) -> dict[str, Json]:
-    starts = (info.first_ns for info in infos if info.first_ns is not None)
-    ends = (info.last_ns for info in infos if info.last_ns is not None)
     names = dict.fromkeys(name for info in infos for name in info.stores)
     return {
-        "nodes": list(dict.fromkeys(info.node for info in infos if info.count)),
-        "messages": sum(info.count for info in infos),
-        "bytes": sum(info.bytes for info in infos),
-        "start": catalog_routes.shown_ns(min(starts, default=None)),
-        "end": catalog_routes.shown_ns(max(ends, default=None)),
+        **catalog_routes.totals(infos),
         "stores": {name: sum(info.stores.get(name, 0) for info in infos) for name in names},
     }
 
@@ -210,7 +204,7 @@ def _runs(call: ApiCall, stores: FleetAnswer) -> _Told:
 
 def _marks(call: ApiCall, stores: FleetAnswer) -> _Told:
     topics = call.texts("topics") or None
-    read = Read(event_routes.within(call), _whose(call, stores))
+    read = Read(call.time_range(), _whose(call, stores))
     losses_of_store = stores.each(stores.catalogs, lambda c: c.keyspace.runs.losses(topics, read))
     losses: dict[tuple[object, ...], Loss] = {}
     for loss in chain.from_iterable(losses_of_store.values()):  # a copy may be older: a loss grows
@@ -225,7 +219,7 @@ def _marks(call: ApiCall, stores: FleetAnswer) -> _Told:
 
 def _events(call: ApiCall, stores: FleetAnswer) -> _Told:
     name, whose = call.text("name"), _whose(call, stores)
-    events = events_of(stores, name, None, event_routes.within(call), whose)
+    events = events_of(stores, name, None, call.time_range(), whose)
     return event_routes.listed_events(call, events)
 
 
@@ -245,7 +239,7 @@ def _query(call: ApiCall, stores: FleetAnswer) -> _Told:
         topic,
         _whose_asked(call, stores),
         after=call.text("after"),
-        watch=ask_routes.watch_of(call),
+        watch=call.watch,
     )
     with result:
         return ask_routes.page_of(call, result, topic.tables, limit)
@@ -265,7 +259,7 @@ def _plot(call: ApiCall, stores: FleetAnswer) -> _Told:
     _refuse_sql(call)
     select = ask_routes.statement_of(call)
     topic = topic_of(stores, select)
-    request = SeriesRequest(_whose_asked(call, stores), watch=ask_routes.watch_of(call))
+    request = SeriesRequest(_whose_asked(call, stores), watch=call.watch)
     select = ask_routes.windowed(call, select, topic.tables)
     series = read_rows_series(topic, select, ask_routes.window_of(call), request)
     return ask_routes.shown_series(series)

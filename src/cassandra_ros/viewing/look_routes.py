@@ -216,8 +216,7 @@ def _messages(call: ApiCall) -> StreamedBody:
 
 def page_read(call: ApiCall, whose: Whose) -> tuple[Read, int]:
     """Return the read of a page of messages, and the size after which the page ends, bytes."""
-    start, end = call.time_ns("start"), call.time_ns("end")
-    time_range = TimeRange(0 if start is None else start, LAST_NS if end is None else end)
+    time_range = call.time_range()
     _check_order(time_range)
     after = call.text("after")
     limit = call.count("bytes") or MESSAGE_PAGE_BYTES

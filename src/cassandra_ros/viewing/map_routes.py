@@ -11,11 +11,10 @@ from collections import OrderedDict
 from typing import Callable, Hashable
 
 from cassandra_ros.errors import StoreUnavailable
-from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.viewing.answers import Bytes
-from cassandra_ros.viewing.api_call import NODES, RUNS, WHOLE_RANGE, ApiCall
+from cassandra_ros.viewing.api_call import NODES, RUNS, WHOLE_RANGE, ApiCall, whose_of
 from cassandra_ros.viewing.mapping.map_builder import (
     DEFAULT_RESOLUTION,
     MadeMap,
@@ -54,9 +53,8 @@ class MapCache:
 
 def _map(call: ApiCall) -> Bytes:
     store, name = call.store, call.text("topic") or ""
-    topic, runs = store.getTopic(name), _writers(call)
-    nodes = call.texts("nodes") or None
-    start, end = (_stamp(call, parameter) for parameter in ("start", "end"))
+    topic, whose = store.getTopic(name), whose_of(call)
+    start, end = call.stamp("start"), call.stamp("end")
     resolution, scans = call.number("resolution"), call.count("scans")
     options = MapOptions(
         resolution=DEFAULT_RESOLUTION if resolution is None else resolution,
@@ -77,8 +75,8 @@ def _map(call: ApiCall) -> Bytes:
             name,
             start,
             end,
-            nodeID=nodes,
-            run=runs,
+            nodeID=whose.nodes,
+            run=whose.writers,
             name=call.text("name") or None,
             options=options,
             poses=choice,
@@ -89,23 +87,9 @@ def _map(call: ApiCall) -> Bytes:
     # The key includes the stored messages: further ones need a new picture. Poses may be stored
     # later than the messages recorded there.
     last, minute = topic.last(), time.time() // NEAR_KEPT_SEC
-    choices = (nodes, runs, call.text("name"), options, choice, minute)
+    choices = (whose, call.text("name"), options, choice, minute)
     cache_key = (topic.name, str(start), str(end), *choices)
     return call.cached(MapCache).get((*cache_key, topic.countTopicData(), str(last)), make)
-
-
-def _stamp(call: ApiCall, name: str) -> Stamp | None:
-    ns = call.time_ns(name)
-    return None if ns is None else Stamp.from_ns(ns)
-
-
-def _writers(call: ApiCall) -> frozenset[int] | None:
-    """Return the writer ids of the requested runs; None = all runs."""
-    names = call.texts("runs")
-    if not names:
-        return None
-    sets = (call.catalog.keyspace.runs.writers(name) for name in names)
-    return frozenset().union(*(writers for writers in sets if writers is not None))
 
 
 def _answer(made: MadeMap) -> Bytes:

@@ -8,7 +8,6 @@ import itertools
 from typing import Sequence
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
-from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.earth import UNITS_PER_DEGREE
 from cassandra_ros.places.regions import Polygon, Region
 from cassandra_ros.places.tracks import find_tracks
@@ -42,13 +41,12 @@ _RUNS = Parameter("runs", "texts", "Runs whose poses are used, if they recorded 
 
 
 def _near(call: ApiCall) -> Json:
-    limit = call.count("limit")
-    limit = USUAL_STAYS if limit is None else limit
+    limit = call.count("limit") or 0
     if not 1 <= limit <= MOST_STAYS:
         raise InvalidOption(f"limit is 1 to {MOST_STAYS}, not {limit}")
     places, robot = call.catalog.places, call.text("robot") or ""
     frame = (call.text("frame") or places.usual_frame(robot)).lstrip("/")
-    low, high = _ends(call)
+    low, high = call.time_range()
     stays_found: list[Json] = []
     nodes, writers = call.texts("nodes"), whose_of(call).writers
     visits = places.within(_region(call, frame), frame, robot, nodes, writers)
@@ -64,12 +62,11 @@ def _near(call: ApiCall) -> Json:
 
 
 def _places(call: ApiCall) -> Json:
-    points = call.count("points")
-    points = USUAL_POINTS if points is None else points
+    points = call.count("points") or 0
     if not 2 <= points <= MOST_POINTS:
         raise InvalidOption(f"points is 2 to {MOST_POINTS}, not {points}")
     places, robot = call.catalog.places, call.text("robot") or ""
-    low, high = _ends(call)
+    low, high = call.time_range()
     frame = (call.text("frame") or places.usual_frame(robot)).lstrip("/")
     tracks = find_tracks(
         places,
@@ -85,11 +82,6 @@ def _places(call: ApiCall) -> Json:
 def _check_waited_for(call: ApiCall) -> None:
     if call.gone.is_set():
         raise StoreUnavailable("the client does not wait for the answer any more")
-
-
-def _ends(call: ApiCall) -> tuple[int, int]:
-    low, high = call.time_ns("start"), call.time_ns("end")
-    return 0 if low is None else low, MAX_NS if high is None else high
 
 
 def _region(call: ApiCall, frame: str) -> Region:

@@ -23,21 +23,20 @@ from cassandra_ros.client.sql.sql_series import (
 from cassandra_ros.client.sql.statement_processes import SqlAnswer, Statement
 from cassandra_ros.errors import AnswerTooLarge, InvalidOption
 from cassandra_ros.query.arrays.arrow_types import load_arrow
-from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.query.tree.json_values import to_json
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall, whose_of
 from cassandra_ros.viewing.lossless_json import JsonConverter
 
 
-def _open_answer(call: ApiCall, watch: Watch, plan: bool = False) -> ContextManager[SqlAnswer]:
+def _open_answer(call: ApiCall, plan: bool = False) -> ContextManager[SqlAnswer]:
     """Return the answer to the statement of a call; on entering it waits for its turn."""
     keyspace = call.catalog.keyspace.name
     statement = Statement(keyspace, call.text("q") or "", whose_of(call), plan=plan)
-    return call.statements.answer(statement, watch)
+    return call.statements.answer(statement, call.watch)
 
 
-def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Watch) -> Json:
+def sql_rows(call: ApiCall, limit: int, page_bytes: int) -> Json:
     """Answer with the first rows of a statement; of those with a time, the rows from start to end.
 
     ``more`` says whether there are further rows. There is no cursor: rows have no order but that of
@@ -50,7 +49,7 @@ def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Watch) -> Json:
     times: list[Json] = []
     kinds: list[Json] = []
     more = False
-    with _open_answer(call, watch) as answer:
+    with _open_answer(call) as answer:
         for batch, at in _batches_within(answer, call.time_ns("start"), call.time_ns("end")):
             kinds = [_kind(field.type) for field in batch.schema]
             more = _add_rows(cells, rows, zip(_rows_of(batch), at), times, (limit, page_bytes))
@@ -129,15 +128,13 @@ def _kind(kind: Any) -> str:
     return {"float": "float32", "double": "float64"}.get(text, text.partition("<")[0])
 
 
-def sql_plan(call: ApiCall, watch: Watch) -> Json:
+def sql_plan(call: ApiCall) -> Json:
     """Answer with what a statement read, and DuckDB's plan; it is run to its end."""
-    with _open_answer(call, watch, plan=True) as answer:
+    with _open_answer(call, plan=True) as answer:
         return {"text": answer.explanation()}
 
 
-def sql_plot(
-    call: ApiCall, window: tuple[int | None, int | None], pixels: int, watch: Watch
-) -> SqlSeries:
+def sql_plot(call: ApiCall, window: tuple[int | None, int | None], pixels: int) -> SqlSeries:
     """Return the numbers of a statement over time."""
-    with _open_answer(call, watch) as answer:
+    with _open_answer(call) as answer:
         return read_sql_series(answer.batches(), *window, pixels)

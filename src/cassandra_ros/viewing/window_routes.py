@@ -61,12 +61,6 @@ class MessageSelection:
     """Condition by topic. If several robots are selected, it restricts the messages to them."""
 
     @property
-    def node(self) -> str | None:
-        """NodeID of the selected robot; None = all, or several, which ``where`` selects."""
-        nodes = self.whose.nodes
-        return nodes[0] if nodes is not None and len(nodes) == 1 else None
-
-    @property
     def time_range(self) -> TimeRange:
         """Selected time range, ns."""
         return range_between(self.start, self.end)
@@ -80,18 +74,13 @@ def read_selection(call: ApiCall) -> MessageSelection:
         InvalidOption: The start lies after the end, a condition has no topic, or a topic has two
             conditions.
     """
-    start, end = (_stamp(call.time_ns(name)) for name in ("start", "end"))
+    start, end = call.stamp("start"), call.stamp("end")
     if start is not None and end is not None and start > end:
         raise InvalidOption(f"start {start} lies after end {end}")
     catalog, names, whose = call.catalog, call.texts("topics"), whose_of(call)
     topics = tuple(sorted({catalog.get(name).name for name in names})) if names else None
     where = _of_nodes(catalog, topics, _conditions(catalog, call.lines("where")), whose.nodes)
     return MessageSelection(topics, start, end, whose, where)
-
-
-def _stamp(ns: int | None) -> Stamp | None:
-    # A stamp instead of an integer, which would mean seconds if it is small.
-    return None if ns is None else Stamp.from_ns(ns)
 
 
 def _conditions(catalog: Catalog, lines: tuple[str, ...]) -> dict[str, Where]:
@@ -196,7 +185,7 @@ def _version(catalog: Catalog, selection: MessageSelection, latched: bool) -> st
             time_range.low,
             topics,
             to=time_range.high,
-            nodeID=selection.node,
+            nodeID=selection.whose.node,
             run=selection.whose.writers,
             where=selection.where or None,
         )
@@ -236,7 +225,7 @@ def _write(
             topics=selection.topics,
             start=selection.start,
             end=selection.end,
-            nodeID=selection.node,
+            nodeID=selection.whose.node,
             compression=compression,
             progress=progress,
             where=selection.where or None,
@@ -245,7 +234,8 @@ def _write(
             event_nodes=selection.whose.nodes,
         )
     except MessageNotFound as exc:
-        reason = why_empty(store.catalog, selection.topics, selection.node, selection.whose.writers)
+        whose = selection.whose
+        reason = why_empty(store.catalog, selection.topics, whose.node, whose.writers)
         raise MessageNotFound(f"there is no such message: {reason}") from exc
 
 

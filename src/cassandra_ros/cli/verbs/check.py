@@ -31,9 +31,9 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, add_time_options, open_store, read_times
+from cassandra_ros.cli.safe_interrupt import SafeInterrupt
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_time
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
-from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -56,11 +56,7 @@ def run(options: argparse.Namespace) -> int:
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas.catalog, options)
         with MessageBar("checking") as bar, SafeInterrupt(ros_cas.cassandra.outage) as stop:
-
-            def progress(done: int, total: int) -> None:
-                bar.reach(done, total)
-                stop.check()
-
+            progress = stop.after(bar.reach)
             report = ros_cas.upkeep.check(
                 topics, start, end, repair=options.repair, progress=progress
             )

@@ -21,9 +21,9 @@ import time
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.safe_interrupt import SafeInterrupt
 from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
-from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown
 
@@ -47,12 +47,7 @@ def run(options: argparse.Namespace) -> int:
             with MessageBar(f"converting {shown(topic)}") as bar, SafeInterrupt(
                 ros_cas.cassandra.outage
             ) as stop:
-
-                def progress(done: int, total: int, bar: MessageBar = bar) -> None:
-                    bar.reach(done, total)
-                    stop.check()  # noqa: B023 - it is called within this turn only
-
-                report = ros_cas.convertTopic(topic, options.format, progress)
+                report = ros_cas.convertTopic(topic, options.format, stop.after(bar.reach))
             reports.append(report)
             if options.quiet or options.json:
                 continue

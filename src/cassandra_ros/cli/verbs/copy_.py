@@ -31,7 +31,7 @@ import time
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.fleet_options import add_target_options, open_target
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json, tell
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -40,9 +40,9 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.parsers import error_line
+from cassandra_ros.cli.safe_interrupt import SafeInterrupt
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
-from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.metadata import FORMAT_NAMES
 from cassandra_ros.printable import shown
 from cassandra_ros.quantities import byte_size
@@ -113,12 +113,7 @@ def run(options: argparse.Namespace) -> int:
         with MessageBar(f"copying to {shown(replicator.place)}") as bar, SafeInterrupt(
             target.cassandra.outage
         ) as stop:
-
-            def progress(done: int, total: int) -> None:
-                bar.reach(done, total)
-                stop.check()
-
-            report = replicator.copy(progress)
+            report = replicator.copy(stop.after(bar.reach))
     topics = [report.topics[name] for name in sorted(report.topics)]
     if options.json:
         print_json({"to": report.place, "complete": report.complete, "topics": topics})
@@ -159,18 +154,15 @@ def _tell_status(options: argparse.Namespace) -> int:
     options.parser.refuse_options(options, _HOW, "{} says how to copy, and --status copies nothing")
     with open_store(options) as ros_cas:
         statuses = copy_status(ros_cas.catalog, stored_topics(ros_cas.catalog, options))
-    if options.json:
-        print_json(statuses)
-    elif not options.quiet:
-        _print_statuses(statuses)
+    tell(options, statuses, _status_text(statuses))
     whole = statuses and not any(status.waiting or status.refused for status in statuses)
     return 0 if whole else 1
 
 
-def _print_statuses(statuses: list[TopicStatus]) -> None:
+def _status_text(statuses: list[TopicStatus]) -> str:
+    """Return a table by target and topic, and why topics were refused."""
     if not statuses:
-        print("nothing was copied to another store; see 'cassandra_bag copy --help'")
-        return
+        return "nothing was copied to another store; see 'cassandra_bag copy --help'"
     numbers = ("copied", "left out", "waiting", "size", "seconds")
     rows = [
         (
@@ -184,7 +176,6 @@ def _print_statuses(statuses: list[TopicStatus]) -> None:
         )
         for status in statuses
     ]
-    print(format_table(("to", "topic", *numbers), rows, right=numbers))
-    for status in statuses:
-        if status.refused:
-            print(f"refused: {shown(' '.join(status.refused.split()), None)}")
+    refused = [" ".join(status.refused.split()) for status in statuses if status.refused]
+    lines = [f"refused: {shown(reason, None)}" for reason in refused]
+    return "\n".join([format_table(("to", "topic", *numbers), rows, right=numbers), *lines])

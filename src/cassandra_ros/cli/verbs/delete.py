@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, tell
 from cassandra_ros.cli.options import (
     add_message_options,
     add_store_options,
@@ -100,13 +100,10 @@ def run(options: argparse.Namespace) -> int:
                     question += f" in keyspace {options.keyspace}, and keep the topics"
                 confirm(f"{question}?", _table(amounts))
             amounts = delete(dry_run=False)
-    if options.json:
-        counts = {name: amount.messages for name, amount in amounts.items()}
-        print_json({"deleted": counts, "with_topics": with_topics, "dry_run": options.dry_run})
-    elif not options.quiet:
-        if _count(amounts):
-            print(_table(amounts))
-        print(f"{_sum(amounts, with_topics)} {'would be' if options.dry_run else 'are'} deleted")
+    counts = {name: amount.messages for name, amount in amounts.items()}
+    answer = {"deleted": counts, "with_topics": with_topics, "dry_run": options.dry_run}
+    done = f"{_sum(amounts, with_topics)} {'would be' if options.dry_run else 'are'} deleted"
+    tell(options, answer, "\n".join(filter(None, (_table(amounts), done))))
     return 0
 
 

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Iterator, Mapping
 
 from cassandra_ros.arguments import exact_json
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json, tell
 from cassandra_ros.cli.options import (
     add_store_options,
     add_time_options,
@@ -150,10 +150,8 @@ def _lasting_event(ros_cas: RosCassandra, options: argparse.Namespace) -> Event:
 
 
 def _tell(event: Event, options: argparse.Namespace, done: str) -> None:
-    if options.json:
-        print_json(_facts(event))
-    elif not options.quiet:
-        print(f"event {shown(event.name)} is {done}; its key is {event.key}")
+    text = f"event {shown(event.name)} is {done}; its key is {event.key}"
+    tell(options, _facts(event), text)
 
 
 def _selected_events(ros_cas: RosCassandra, options: argparse.Namespace) -> Iterator[Event]:
@@ -191,11 +189,9 @@ def _delete(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
         confirm(f"Delete {counted(len(events), 'event')}?", table)
     for event in [] if options.dry_run else events:
         ros_cas.removeEvent(event)
-    if options.json:
-        print_json({"deleted": [event.key for event in events], "dry_run": options.dry_run})
-    elif not options.quiet:
-        done = "would be" if options.dry_run else "is" if len(events) == 1 else "are"
-        print(f"{counted(len(events), 'event')} {done} deleted")
+    answer = {"deleted": [event.key for event in events], "dry_run": options.dry_run}
+    done = "would be" if options.dry_run else "is" if len(events) == 1 else "are"
+    tell(options, answer, f"{counted(len(events), 'event')} {done} deleted")
     return 0
 
 

@@ -37,7 +37,7 @@ from cassandra_ros.cli.fleet_options import (
     refuse_single_store_options,
     tell_missing,
 )
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, tell
 from cassandra_ros.cli.options import (
     add_around_option,
     add_message_options,
@@ -148,11 +148,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _tell(options: argparse.Namespace, report: ExportReport, begun: float) -> None:
     """Print what was written; ``begun`` is when, by the monotonic clock, s."""
-    if options.json:
-        print_json(report)
-    elif not options.quiet:
-        since = None if options.event or options.around else options.start
-        _print_report(report, since, time.monotonic() - begun)
+    since = None if options.event or options.around else options.start
+    tell(options, report, _text(report, since, time.monotonic() - begun))
 
 
 def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
@@ -196,22 +193,24 @@ def _path(options: argparse.Namespace) -> str:
     return str(paths[0])
 
 
-def _print_report(report: ExportReport, start: str | None, seconds: float) -> None:
-    """Print the report; ``start`` is --start as typed, None = the bag has several time ranges."""
+def _text(report: ExportReport, start: str | None, seconds: float) -> str:
+    """Return the report; ``start`` is --start as typed, None = the bag has several time ranges."""
+    lines = []
     rows = [(shown(topic), str(count)) for topic, count in sorted(report.messages.items())]
     if rows:
-        print(format_table(("topic", "messages"), rows, right=("messages",)))
+        lines.append(format_table(("topic", "messages"), rows, right=("messages",)))
     early = sum(report.latched.values())
     if early:
         begin = start or "the time ranges"
         time_in_file = start or "the start of a time range"
-        print(
+        lines.append(
             f"{early} of these were latched before {begin}; their time in the file is "
             f"{time_in_file}"
         )
-    print(
+    lines.append(
         f"{report.path}: {counted(sum(report.messages.values()), 'message')} of "
         f"{counted(len(rows), 'topic')}, "
         f"{format_bytes(report.bytes)} ({seconds:.1f} s)"
         + (f", {counted(report.events, 'event')}" if report.events else "")
     )
+    return "\n".join(lines)

@@ -40,11 +40,9 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 import time
 from dataclasses import dataclass
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
@@ -55,6 +53,7 @@ from cassandra_ros.cli.options import (
     open_store,
 )
 from cassandra_ros.cli.parsers import add_option, error_line
+from cassandra_ros.cli.safe_interrupt import SafeInterrupt
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import (
@@ -73,8 +72,6 @@ from cassandra_ros.shared_options import IMPORT_FORMAT
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.files.bag.importer import ImportReport
-    from cassandra_ros.files.bag.message_file import MessageProgress
-    from cassandra_ros.store.connection.outage import Outage
 
 
 _OF_ONE_FILE = (
@@ -114,8 +111,6 @@ class _Outcome:
 
 
 _WHOLE = ("stored", "salvaged")
-LOOK_SEC = 0.2
-"""Interval at which an interrupted import checks whether the store still answers, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -217,22 +212,14 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
     name = os.path.basename(path)
     first, second = MessageBar(f"reading {name}", total), MessageBar(f"importing {name}", count)
     with first, second, SafeInterrupt(ros_cas.cassandra.outage) as stop:
-
-        def shown_by(bar: MessageBar) -> MessageProgress:
-            def add(messages: int, size: int) -> None:
-                bar.add(messages)
-                stop.check()
-
-            return add
-
         report = import_bag(
             ros_cas,
             path,
             format=options.format,
             topics=topics,
             nodeID=options.node_id,
-            progress=shown_by(second),
-            reading=shown_by(first),
+            progress=stop.after(second.add),
+            reading=stop.after(first.add),
             salvage=options.salvage,
             large_chunks=options.allow_large_chunks,
         )
@@ -307,62 +294,3 @@ def _answer(outcome: _Outcome) -> dict[str, object]:
             notes=report.notes,
         )
     return {**answer, "error": outcome.error or None}
-
-
-class SafeInterrupt:
-    """A context manager that delays Ctrl-C and SIGTERM, so that they do not interrupt a write.
-
-    Inside the context the first signal takes effect at the next check(), or when the store has not
-    answered for a moment. A second signal takes effect at once.
-
-    Args:
-        outage: The outage of the store; the first signal ends its waits.
-    """
-
-    def __init__(self, outage: Outage) -> None:
-        self._outage = outage
-        self._came: int | None = None
-        self._handlers: dict[int, signal._HANDLER] = {}
-        self._alarm: signal._HANDLER = None
-
-    def check(self) -> None:
-        """Raise KeyboardInterrupt after Ctrl-C, SystemExit with status 143 after SIGTERM."""
-        if self._came is not None:
-            self._quiet()  # the alarm must not interrupt what follows
-        if self._came == signal.SIGINT:
-            raise KeyboardInterrupt
-        if self._came is not None:
-            raise SystemExit(128 + self._came)
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self._came = number
-        self._restore()
-        self._outage.hurry()
-        self._alarm = signal.signal(signal.SIGALRM, self._look)
-        signal.setitimer(signal.ITIMER_REAL, LOOK_SEC, LOOK_SEC)
-
-    def _look(self, number: int, frame: FrameType | None) -> None:
-        if self._outage.left_sec <= 0:
-            self.check()
-
-    def _quiet(self) -> None:
-        if self._alarm is not None:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            signal.signal(signal.SIGALRM, self._alarm)
-            self._alarm = None
-
-    def _restore(self) -> None:
-        while self._handlers:
-            signal.signal(*self._handlers.popitem())
-
-    def __enter__(self) -> SafeInterrupt:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._handlers[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
-        self._restore()
-        self._quiet()
-        # After a signal an error of the store only says that its waits were ended.
-        if kind is None or issubclass(kind, CassandraRosError):
-            self.check()

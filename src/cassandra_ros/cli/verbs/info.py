@@ -99,9 +99,7 @@ class _Description:
     @property
     def ends(self) -> tuple[int, int] | None:
         """Times of the first and of the last message, ns; None = there are no messages."""
-        firsts = [info.first_ns for info in self.infos if info.first_ns is not None]
-        lasts = [info.last_ns for info in self.infos if info.last_ns is not None]
-        return (min(firsts), max(lasts)) if firsts and lasts else None
+        return _ends_of(self.infos)
 
     @property
     def messages(self) -> int:
@@ -232,7 +230,7 @@ def _describe(options: argparse.Namespace) -> _Description:
         losses = ros_cas.losses(topics, **selection)
         runs = sorted(ros_cas.runs(times=True), key=lambda run: str(run.started))
         whose = ros_cas.catalog.whose(options.node_id, options.run)
-        view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
+        view = View(*_picture_ends(infos), cells=_CELLS, topics=topics, whose=whose)
         timeline = Timeline(ros_cas.catalog)
         activity = timeline.picture(view)
         eras = [activity]
@@ -260,17 +258,21 @@ def _samples(catalog: Catalog, infos: Sequence[TopicInfo], run: str | None) -> l
     return [samples[info.topic, info.node].get(info.table, MessageSample()) for info in infos]
 
 
-def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
+def _ends_of(infos: Sequence[TopicInfo | FleetTopicInfo]) -> tuple[int, int] | None:
+    """Return the times of the first and of the last message, ns; None = there are no messages."""
+    firsts = [info.first_ns for info in infos if info.first_ns is not None]
+    lasts = [info.last_ns for info in infos if info.last_ns is not None]
+    return (min(firsts), max(lasts)) if firsts and lasts else None
+
+
+def _picture_ends(infos: Sequence[TopicInfo]) -> tuple[int | None, int | None]:
     """Return the first and the last time for the picture, ns; None = there are no messages.
 
     They are those of the topics whose keys are times. Only without such messages those of the
     others count: the times at which messages with names were stored may lie far from all others.
     """
     timed = [info for info in infos if info.key not in NAMED_FORMATS and info.count]
-    infos_with_ends = timed or infos
-    firsts = [info.first_ns for info in infos_with_ends if info.first_ns is not None]
-    lasts = [info.last_ns for info in infos_with_ends if info.last_ns is not None]
-    return min(firsts, default=None), max(lasts, default=None)
+    return _ends_of(timed or infos) or (None, None)
 
 
 def _print_summary(description: _Description) -> None:
@@ -455,12 +457,11 @@ def _print_fleet(infos: Sequence[FleetTopicInfo]) -> None:
     """Print a summary, and a line for each topic, type and robot."""
     from cassandra_ros.messages.stamps import iso_time
 
-    firsts = [info.first_ns for info in infos if info.first_ns is not None]
-    lasts = [info.last_ns for info in infos if info.last_ns is not None]
-    if firsts and lasts:
-        print(f"duration:  {format_duration(max(lasts) - min(firsts))}")
-        print(f"start:     {iso_time(min(firsts))}")
-        print(f"end:       {iso_time(max(lasts))}")
+    ends = _ends_of(infos)
+    if ends is not None:
+        print(f"duration:  {format_duration(ends[1] - ends[0])}")
+        print(f"start:     {iso_time(ends[0])}")
+        print(f"end:       {iso_time(ends[1])}")
     print(f"size:      {format_bytes(sum(info.bytes for info in infos))}")
     topics = counted(len({info.topic for info in infos}), "topic")
     print(f"messages:  {sum(info.count for info in infos)} of {topics}, each counted once")

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, tell
 from cassandra_ros.cli.options import add_store_options, foreign_keyspace, open_store
 from cassandra_ros.cli.terminal_text import format_table
 from cassandra_ros.printable import shown
@@ -45,11 +45,9 @@ def run(options: argparse.Namespace) -> int:
             for table in topic.tables
         ]
         hint = "" if rows or options.json else foreign_keyspace(ros_cas, "; ")
-    if options.json:
-        print_json([dict(zip(_HEADER, row)) for row in rows])
-    elif rows:
-        print(format_table(_HEADER, [tuple(map(shown, row)) for row in rows]))
-    else:
-        whole = "; a pattern matches whole names, as /camera/.*" if patterns != [None] else ""
-        print(f"keyspace {options.keyspace} holds no such topic{whole}{hint}")
+    whole = "; a pattern matches whole names, as /camera/.*" if patterns != [None] else ""
+    text = f"keyspace {options.keyspace} holds no such topic{whole}{hint}"
+    if rows:
+        text = format_table(_HEADER, [tuple(map(shown, row)) for row in rows])
+    tell(options, [dict(zip(_HEADER, row)) for row in rows], text)
     return 0

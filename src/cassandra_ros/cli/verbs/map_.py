@@ -34,7 +34,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, tell
 from cassandra_ros.cli.options import (
     add_event_options,
     add_origin_options,
@@ -250,26 +250,23 @@ def _name(options: argparse.Namespace) -> str:
 
 def _tell(made: MadeMap, files: list[str], options: argparse.Namespace) -> None:
     grid = made.map
-    if options.json:
-        answer = {
-            "frame": grid.frame,
-            "resolution": grid.resolution,
-            "origin": [grid.x, grid.y, grid.yaw],
-            "width": grid.width,
-            "height": grid.height,
-            "stamp_ns": grid.stamp,
-            "used": made.used,
-            "without_pose": made.without_pose,
-            "unreadable": made.unreadable,
-            "placed_by_reception": made.received,
-            "poses": list(made.sources),
-            "pose_topics": [offer._asdict() for offer in made.offers],
-            "files": files,
-            "stored": {"topic": options.store, "name": _name(options)} if options.store else None,
-        }
-        print_json(answer)
-    elif not options.quiet:
-        print(_text(made, files, options))
+    answer = {
+        "frame": grid.frame,
+        "resolution": grid.resolution,
+        "origin": [grid.x, grid.y, grid.yaw],
+        "width": grid.width,
+        "height": grid.height,
+        "stamp_ns": grid.stamp,
+        "used": made.used,
+        "without_pose": made.without_pose,
+        "unreadable": made.unreadable,
+        "placed_by_reception": made.received,
+        "poses": list(made.sources),
+        "pose_topics": [offer._asdict() for offer in made.offers],
+        "files": files,
+        "stored": {"topic": options.store, "name": _name(options)} if options.store else None,
+    }
+    tell(options, answer, _text(made, files, options))
 
 
 def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:

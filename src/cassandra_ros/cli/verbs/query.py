@@ -50,6 +50,16 @@ _ENDINGS = {**{f".{name}": name for name in _OUTPUTS[1:]}, ".jsonl": "ndjson"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the statement, its values, the form of the output and the store."""
+    text = "print how the statement was executed instead: what the store checked, what was read"
+    add_statement_arguments(parser, text)
+    text = "allow statements that change stored data"
+    parser.add_argument("--allow-writes", action="store_true", help=text)
+    add_store_options(parser)
+    add_fleet_options(parser)
+
+
+def add_statement_arguments(parser: argparse.ArgumentParser, explain: str) -> None:
+    """Add the statement, its values, the form of the output, and --explain with its help text."""
     add = parser.add_argument
     add("statement", metavar="STATEMENT", help="the statement, in quotes")
     add(
@@ -58,21 +68,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         help="a value for each ? of the statement (default: none)",
     )
-    add_output_options(parser)
-    add_origin_options(parser)
-    add(
-        "--explain",
-        action="store_true",
-        help="print how the statement was executed instead: what the store checked, what was read",
-    )
-    add("--allow-writes", action="store_true", help="allow statements that change stored data")
-    add_store_options(parser)
-    add_fleet_options(parser)
-
-
-def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Add the form of the output, its file, and its maximum length."""
-    add = parser.add_argument
     endings = ", ".join(_ENDINGS)
     text = f"output format (default: that of FILE's ending, {endings}, else table)"
     add("--output", choices=_OUTPUTS, help=text)
@@ -92,6 +87,8 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
         type=_count,
         help="maximum number of rows to print (default: all)",
     )
+    add_origin_options(parser)
+    add("--explain", action="store_true", help=explain)
 
 
 def _count(text: str) -> int:

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.far_times import read_time
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, tell
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
@@ -160,18 +160,16 @@ def _count_and_drop(
 
 
 def _print(options: argparse.Namespace, results: Sequence[Retained]) -> None:
-    if options.json:
-        answer = [
-            {"topic": result.topic, **{name: getattr(result, name) for name in _NUMBERS}}
-            for result in results
-        ]
-        print_json({"topics": answer, "dry_run": options.dry_run})
-    elif not options.quiet:
-        if any(result.messages for result in results):
-            print(_table(results))
-        gone = _dropped_messages(results)
-        ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
-        print(f"{counted(gone, 'message')} {ends} dropped")
+    topics = [
+        {"topic": result.topic, **{name: getattr(result, name) for name in _NUMBERS}}
+        for result in results
+    ]
+    gone = _dropped_messages(results)
+    ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
+    text = f"{counted(gone, 'message')} {ends} dropped"
+    if any(result.messages for result in results):
+        text = f"{_table(results)}\n{text}"
+    tell(options, {"topics": topics, "dry_run": options.dry_run}, text)
 
 
 def _keep_under(options: argparse.Namespace) -> int:

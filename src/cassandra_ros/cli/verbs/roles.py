@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json, tell
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.store.tables.role_grants import ROLES, apply_roles, role_name, role_statements
 
@@ -36,10 +36,8 @@ def run(options: argparse.Namespace) -> int:
         with open_store(options, make=True) as ros_cas:
             apply_roles(ros_cas.catalog.keyspace.side_tables)
         names = [role_name(keyspace, role) for role in ROLES]
-        if options.json:
-            print_json({"keyspace": keyspace, "roles": names})
-        else:
-            print(f"keyspace {keyspace} has the roles {', '.join(names)}")
+        text = f"keyspace {keyspace} has the roles {', '.join(names)}"
+        tell(options, {"keyspace": keyspace, "roles": names}, text)
         return 0
     if options.json:
         print_json({"keyspace": keyspace, "statements": role_statements(keyspace)})

@@ -33,10 +33,10 @@ import argparse
 from datetime import datetime
 from typing import TYPE_CHECKING, Iterator, Mapping, Sequence
 
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json, tell
 from cassandra_ros.cli.options import add_store_options, open_store, read_pairs
+from cassandra_ros.cli.safe_interrupt import SafeInterrupt
 from cassandra_ros.cli.terminal_text import MessageBar, format_table, format_time
-from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.printable import shown
 from cassandra_ros.recording.option_values import read_label
@@ -93,13 +93,8 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("--load, --graph and --namespace go with --params RUN")
     with open_store(options) as ros_cas:
         runs = sorted(ros_cas.runs(times=True), key=lambda run: str(run.started))
-    if options.json:
-        # Without the labels that an import adds for its own use.
-        print_json([{**vars(run), "labels": run.public_labels} for run in runs])
-    elif runs:
-        print(_table(runs))
-    else:
-        print(f"keyspace {options.keyspace} holds no run")
+    none = f"keyspace {options.keyspace} holds no run"
+    tell(options, _facts(runs), _table(runs) if runs else none)
     return 0
 
 
@@ -123,11 +118,13 @@ def _set(options: argparse.Namespace) -> int:
         runs = ros_cas.upkeep.setRuns(
             run, name=options.new_name, nodeID=options.node_id, labels=labels, progress=progress
         )
-    if options.json:
-        print_json([{**vars(run), "labels": run.public_labels} for run in runs])
-    elif not options.quiet:
-        print(_table(runs))
+    tell(options, _facts(runs), _table(runs))
     return 0
+
+
+def _facts(runs: Sequence[Run]) -> list[dict[str, object]]:
+    # Without the labels that an import adds for its own use.
+    return [{**vars(run), "labels": run.public_labels} for run in runs]
 
 
 def _table(runs: Sequence[Run]) -> str:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.cli.confirmation import add_yes_option, confirm
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, tell
 from cassandra_ros.cli.options import add_store_options, open_store, store_place
 from cassandra_ros.cli.terminal_text import (
     MessageBar,
@@ -158,26 +158,24 @@ def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
     left_ids = _left_names(folder)
     paths = [p for p in folder.runs() if not options.runs or p.name in options.runs]
     runs = [_describe_run(p, "left" if p.name in left_ids else "recording") for p in paths]
-    if options.json:
-        print_json([listed_run._asdict() for listed_run in runs])
-    elif not options.quiet:
-        names = ("id", "run", "robot", "keyspace", "store", "messages", "size", "start", "end")
-        rows = [
-            (
-                listed_run.id,
-                shown(listed_run.run) or "-",
-                shown(listed_run.robot) or "-",
-                shown(listed_run.keyspace) or "-",
-                shown(listed_run.address) or "-",
-                str(listed_run.messages),
-                format_bytes(listed_run.nbytes),
-                format_time(listed_run.first_ns) if listed_run.messages else "-",
-                format_time(listed_run.last_ns) if listed_run.messages else "-",
-                shown(listed_run.state, None),
-            )
-            for listed_run in runs
-        ]
-        print(format_table((*names, "state"), rows) if rows else "the spool is empty")
+    names = ("id", "run", "robot", "keyspace", "store", "messages", "size", "start", "end")
+    rows = [
+        (
+            listed_run.id,
+            shown(listed_run.run) or "-",
+            shown(listed_run.robot) or "-",
+            shown(listed_run.keyspace) or "-",
+            shown(listed_run.address) or "-",
+            str(listed_run.messages),
+            format_bytes(listed_run.nbytes),
+            format_time(listed_run.first_ns) if listed_run.messages else "-",
+            format_time(listed_run.last_ns) if listed_run.messages else "-",
+            shown(listed_run.state, None),
+        )
+        for listed_run in runs
+    ]
+    text = format_table((*names, "state"), rows) if rows else "the spool is empty"
+    tell(options, [listed_run._asdict() for listed_run in runs], text)
     return 0
 
 
@@ -211,10 +209,8 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
             failed = failed or bool(drained.lost) or not drained.complete
             if not (options.quiet or options.json):
                 print("\n".join(map(shown, lines_of(drained))))
-    if options.json:
-        print_json(answer)
-    elif not (answer or failed or options.quiet):
-        print("the spool has nothing for this keyspace and address")
+    nothing = "the spool has nothing for this keyspace and address"
+    tell(options, answer, "" if answer or failed else nothing)
     return int(failed)
 
 
@@ -245,10 +241,7 @@ def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
             dropped.append(run_folder.path.name)
             if not (options.quiet or options.json):
                 print(f"run {name} is deleted from the spool")
-    if options.json:
-        print_json(dropped)
-    elif not (dropped or failed or options.quiet):
-        print("nothing of the spool is deleted")
+    tell(options, dropped, "" if dropped or failed else "nothing of the spool is deleted")
     return int(failed)
 
 
@@ -279,8 +272,6 @@ def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
                     messages += 1
     for text in damaged:
         print(text, file=sys.stderr)
-    if options.json:
-        print_json({"messages": messages, "damaged": damaged})
-    elif not options.quiet:
-        print(f"{counted(messages, 'message')} written to {shown(target)}")
+    text = f"{counted(messages, 'message')} written to {shown(target)}"
+    tell(options, {"messages": messages, "damaged": damaged}, text)
     return int(bool(damaged))

@@ -23,8 +23,8 @@ import argparse
 from itertools import islice
 from typing import TYPE_CHECKING, Iterator
 
-from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
-from cassandra_ros.cli.verbs.query import add_output_options, check_outputs, read_parameter
+from cassandra_ros.cli.options import add_store_options, open_store
+from cassandra_ros.cli.verbs.query import add_statement_arguments, check_outputs, read_parameter
 from cassandra_ros.printable import shown_lines
 
 if TYPE_CHECKING:
@@ -35,21 +35,8 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the statement, its values, the form of the output and the store."""
-    add = parser.add_argument
-    add("statement", metavar="STATEMENT", help="the statement, in quotes")
-    add(
-        "params",
-        metavar="VALUE",
-        nargs="*",
-        help="a value for each ? of the statement (default: none)",
-    )
-    add_output_options(parser)
-    add_origin_options(parser)
-    add(
-        "--explain",
-        action="store_true",
-        help="run the statement, and print what was read and DuckDB's plan instead of its rows",
-    )
+    text = "run the statement, and print what was read and DuckDB's plan instead of its rows"
+    add_statement_arguments(parser, text)
     add_store_options(parser)
 
 

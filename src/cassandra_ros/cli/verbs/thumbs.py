@@ -19,7 +19,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Iterator
 
-from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, tell
 from cassandra_ros.cli.options import (
     add_message_options,
     add_store_options,
@@ -106,16 +106,14 @@ def run(options: argparse.Namespace) -> int:
     sheet = draw_sheet(cells, options.columns, options.width, title)
     size = save_picture(sheet, path)
     damaged = sum(thumbnail.problem is not None for thumbnail in drawn)
-    if options.json:
-        pictures = [
-            {"time_ns": thumbnail.t, "node": thumbnail.node, "drawn": thumbnail.problem is None}
-            for thumbnail in drawn
-        ]
-        answer = {"path": path, "topic": topic.name, "width": sheet.width, "height": sheet.height}
-        print_json({**answer, "size": size, "pictures": pictures})
-    else:
-        text = f"{len(drawn) - damaged} pictures of {shown(topic.name)}, {first} to {last}"
-        print(f"{shown(path)}: {text}, {sheet.width} x {sheet.height} pixels")
+    pictures = [
+        {"time_ns": thumbnail.t, "node": thumbnail.node, "drawn": thumbnail.problem is None}
+        for thumbnail in drawn
+    ]
+    answer = {"path": path, "topic": topic.name, "width": sheet.width, "height": sheet.height}
+    what = f"{len(drawn) - damaged} pictures of {shown(topic.name)}, {first} to {last}"
+    text = f"{shown(path)}: {what}, {sheet.width} x {sheet.height} pixels"
+    tell(options, {**answer, "size": size, "pictures": pictures}, text)
     return 1 if damaged else 0
 
 

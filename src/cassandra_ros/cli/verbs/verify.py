@@ -36,7 +36,8 @@ values, are compared (needs DuckDB). A file whose messages were deleted from the
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Callable
 
 from cassandra_ros.cli.fleet_options import add_target_options, open_target
 from cassandra_ros.cli.json_answer import add_json_option, print_json
@@ -152,28 +153,14 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
     first = MessageBar(f"reading {options.bag}", count)
     bar = MessageBar(f"verifying {options.bag}", count)
     with open_store(options) as ros_cas, first, bar:
-        if not options.content:
-            return verify_bag(
-                ros_cas,
-                options.bag,
-                topics,
-                options.node_id,
-                bar.add,
-                first.add,
-                options.run,
-                options.salvage,
-                options.allow_large_chunks,
-                start,
-                end,
-                event,
-                around,
-            )
-        return verify_content(
+        compare: Callable[..., VerifyReport] = partial(verify_bag, reading=first.add)
+        if options.content:
+            compare = partial(verify_content, mapping=mapping)
+        return compare(
             ros_cas,
             options.bag,
             topics=topics,
             nodeID=options.node_id,
-            mapping=mapping,
             start=start,
             end=end,
             progress=bar.add,

@@ -9,7 +9,6 @@ from typing import Iterator
 
 from cassandra_ros.client.sql.table_sources import TopicSource
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.query.tree.syntax import All, Compare, Either, Expression, OneOf
 from cassandra_ros.read import LAST_NS
 
 
@@ -86,7 +85,7 @@ def explain_source(source: TopicSource) -> TopicReadReport:
         robots=None if pushed.nodes is None else tuple(sorted(pushed.nodes)),
         runs=None if pushed.runs is None else tuple(sorted(pushed.runs)),
         events=None if pushed.events is None else tuple(sorted(pushed.events)),
-        condition=_condition_text(pushed.condition),
+        condition="" if pushed.condition is None else pushed.condition.text,
         messages=source.messages,
         blocks=sum(chooser.blocks for chooser in choosers),
         skipped=sum(chooser.skipped for chooser in choosers),
@@ -100,16 +99,3 @@ def field_names(name: str, kind: object) -> Iterator[str]:
         yield name
     for field in fields:
         yield from field_names(f"{name}.{field.name}", field.type)
-
-
-def _condition_text(condition: Expression | None) -> str:
-    if condition is None:
-        return ""
-    if isinstance(condition, (All, Either)):
-        word = " AND " if isinstance(condition, All) else " OR "
-        return f"({word.join(_condition_text(item) for item in condition.items)})"
-    if isinstance(condition, Compare):
-        return f"{condition.operand.text} {condition.operator} {condition.value.text}"
-    if isinstance(condition, OneOf):
-        return f"{condition.operand.text} IN ({', '.join(v.text for v in condition.values)})"
-    raise AssertionError("only comparisons bound a read")

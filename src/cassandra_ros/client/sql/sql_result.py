@@ -11,7 +11,7 @@ from concurrent import futures
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar, Union
+from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar
 
 from cassandra_ros.client.sql.duck_database import (
     CONSTANT,
@@ -27,7 +27,7 @@ from cassandra_ros.client.sql.python_values import python_rows
 from cassandra_ros.client.sql.sql_explanation import SqlExplanation, explain_source
 from cassandra_ros.client.sql.sql_statement import Params, SqlStatement, TableName
 from cassandra_ros.client.sql.table_columns import TableColumns
-from cassandra_ros.client.sql.table_sources import FrameSource, ListSource, TopicSource
+from cassandra_ros.client.sql.table_sources import FrameSource, TableSource, TopicSource
 from cassandra_ros.client.sql.topic_functions import (
     JOINT_FIELDS,
     NEAREST_COLUMNS,
@@ -55,7 +55,6 @@ from cassandra_ros.topics.unknown_names import warn_of
 if TYPE_CHECKING:
     import pyarrow
 
-Source = Union[TopicSource, ListSource, FrameSource]
 ANSWER_BATCH_ROWS = 4096
 """Number of rows of a batch of the answer."""
 _LOOK_SEC = 0.1
@@ -163,10 +162,7 @@ class SqlResult:
             plan = run.wait(run.relation.explain)
             reader = run.wait(lambda: run.relation.to_arrow_reader(ANSWER_BATCH_ROWS))
             returned = 0
-            while True:
-                batch = run.wait(lambda: next(reader, None))
-                if batch is None:
-                    break
+            while (batch := run.wait(lambda: next(reader, None))) is not None:
                 returned += batch.num_rows
             topics = [s for s in run.sources.values() if isinstance(s, TopicSource)]
             return SqlExplanation(
@@ -204,8 +200,7 @@ class SqlResult:
             yield run
         finally:
             run.close()
-            sources = (s for s in run.sources.values() if not isinstance(s, ListSource))
-            self.hints = warn_of(hint for source in sources for hint in source.hints)
+            self.hints = warn_of(hint for source in run.sources.values() for hint in source.hints)
 
     def _bind_run(self) -> _Run:
         """Return a new run whose statement was checked."""
@@ -252,7 +247,7 @@ class _Run:
         self._work: futures.Future[Any] | None = None
         """The work of DuckDB that was begun last."""
         self._stopped = self._closed = False
-        self.sources: dict[str, Source] = {}
+        self.sources: dict[str, TableSource] = {}
         self.relation: Any = None
 
     def bind(self, pushdown: bool) -> None:

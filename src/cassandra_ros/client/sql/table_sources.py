@@ -9,6 +9,7 @@ a list such as that of the runs, or the poses of a frame in another: tf('map', '
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
@@ -32,8 +33,47 @@ if TYPE_CHECKING:
     import pyarrow
 
 
-class TopicSource:
-    """The messages of a topic as a table.
+class TableSource(ABC):
+    """A table for DuckDB, read anew for each scan.
+
+    Args:
+        arrow: The module pyarrow.
+        columns: Names and Arrow types of the columns.
+
+    Attributes:
+        columns: Names and Arrow types of the columns.
+        error: Error that ended a read; DuckDB only knows its text.
+        hints: Why there are no rows, known when all was read.
+    """
+
+    def __init__(self, arrow: Any, columns: pyarrow.Schema) -> None:
+        self._arrow = arrow
+        self.columns = columns
+        self.error: BaseException | None = None
+        self.hints: list[str] = []
+
+    def __arrow_c_schema__(self) -> Any:
+        return self.columns.__arrow_c_schema__()
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
+        reader = self._arrow.RecordBatchReader.from_batches(self.columns, self.batches())
+        return reader.__arrow_c_stream__()
+
+    def batches(self) -> Iterator[pyarrow.RecordBatch]:
+        """Yield what is read, as record batches; keep the error that ends it."""
+        try:
+            yield from self._batches()
+        except Exception as exc:
+            self.error = exc
+            raise
+
+    @abstractmethod
+    def _batches(self) -> Iterator[pyarrow.RecordBatch]:
+        """Yield what is read, as record batches."""
+
+
+class TopicSource(TableSource):
+    """The messages of a topic as a table. Hints are names that are not stored.
 
     Args:
         keyspace: Keyspace of the topic.
@@ -47,13 +87,10 @@ class TopicSource:
         topic: The topic.
         tables: Tables of the topic when the source was made.
         schema: The columns that are made of messages.
-        columns: Names and Arrow types of the columns.
-        has_events: Whether EVENT is one of them.
+        has_events: Whether EVENT is a column.
         pushed: What is read; the caller sets it when the statement is known.
         messages: Number of messages read so far, in all scans together.
         choosers: What the server checked, one for each scan.
-        error: Error that ended a read; DuckDB only knows its text.
-        hints: Why no message is found: names that are not stored.
     """
 
     def __init__(
@@ -76,23 +113,14 @@ class TopicSource:
         if self.has_events and wanted is not None:
             wanted = {**wanted, "node": {}}  # events are those of a robot
         self.schema = ArrowSchema(self.tables, wanted)
-        self.columns: pyarrow.Schema = self.schema.schema
+        arrow, columns = self.schema.arrow, self.schema.schema
         if self.has_events:
-            kind = self.schema.arrow.list_(self.schema.arrow.string())
-            place = len(self.schema.own)
-            self.columns = self.columns.insert(place, self.schema.arrow.field(EVENT, kind))
+            kind = arrow.list_(arrow.string())
+            columns = columns.insert(len(self.schema.own), arrow.field(EVENT, kind))
+        super().__init__(arrow, columns)
         self.pushed: PushedRead = UNBOUNDED_READ
         self.messages = 0
         self.choosers: list[Pushdown] = []
-        self.error: BaseException | None = None
-        self.hints: list[str] = []
-
-    def __arrow_c_schema__(self) -> Any:
-        return self.columns.__arrow_c_schema__()
-
-    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
-        reader = self.schema.arrow.RecordBatchReader.from_batches(self.columns, self.batches())
-        return reader.__arrow_c_stream__()
 
     def read(self) -> Read | None:
         """Return what is read; None = no message can match."""
@@ -108,17 +136,14 @@ class TopicSource:
         time_range = TimeRange() if self.schema.named else pushed.time_range
         return Read(time_range, whose)
 
-    def batches(self) -> Iterator[pyarrow.RecordBatch]:
-        """Yield what is read, as record batches."""
-        try:
-            read = self.read()
-            if read is not None:
-                yield from self._batches(read)
-            if not self.messages and not self.hints:
-                self.hints += filter(None, self._unknown_names())
-        except Exception as exc:
-            self.error = exc
-            raise
+    def _batches(self) -> Iterator[pyarrow.RecordBatch]:
+        read = self.read()
+        if read is not None:
+            for batch in self._read_events(read, self._make_chooser()):
+                self.messages += batch.num_rows
+                yield batch
+        if not self.messages and not self.hints:
+            self.hints += filter(None, self._unknown_names())
 
     def _unknown_names(self) -> Iterator[str]:
         """Yield for each name that bounds what is read a text if nothing has it, else ''."""
@@ -133,15 +158,14 @@ class TopicSource:
         except InvalidName as exc:  # no event can have this name
             return str(exc)
 
-    def _batches(self, read: Read) -> Iterator[pyarrow.RecordBatch]:
-        chooser = None
-        if self.pushed.condition is not None:
-            nan, watch = self.pushed.floats, self._watch
-            chooser = Pushdown(self.pushed.condition, watch=watch, nan=nan)
-            self.choosers.append(chooser)
-        for batch in self._read_events(read, chooser):
-            self.messages += batch.num_rows
-            yield batch
+    def _make_chooser(self) -> Pushdown | None:
+        """Return what the server checks in a scan; None = there is no condition."""
+        if self.pushed.condition is None:
+            return None
+        nan, watch = self.pushed.floats, self._watch
+        chooser = Pushdown(self.pushed.condition, watch=watch, nan=nan)
+        self.choosers.append(chooser)
+        return chooser
 
     def _read_events(self, read: Read, chooser: Pushdown | None) -> Iterator[pyarrow.RecordBatch]:
         """Yield the messages of a read, with EVENT if there is this column."""
@@ -152,13 +176,13 @@ class TopicSource:
         if self.pushed.events is not None:
             event_times = EventTimes(event for event in events if event.name in self.pushed.events)
             reads = event_times.reads(read)
-        names, place = EventNames(self.schema.arrow, events), len(self.schema.own)
+        names, place = EventNames(self._arrow, events), len(self.schema.own)
         for event_read in reads:
             self._watch()
             for batch in self._read(event_read, chooser):
                 arrays = [*batch.columns]
                 arrays.insert(place, names.column(batch))
-                yield self.schema.arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
+                yield self._arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
 
     def _read(self, read: Read, chooser: Pushdown | None) -> Iterator[pyarrow.RecordBatch]:
         chosen = replace(read, chooser=chooser)
@@ -166,46 +190,35 @@ class TopicSource:
         return read_record_batches(self.topic.name, self.schema, batches, self._watch)
 
 
-class ListSource:
+class ListSource(TableSource):
     """A table of a few rows, such as the runs, made when it is read.
 
     Args:
         arrow: The module pyarrow.
-        schema: Names and Arrow types of its columns.
+        columns: Names and Arrow types of its columns.
         rows: Returns its rows; called for each scan.
-
-    Attributes:
-        columns: The schema.
-        error: Error that ended a read; DuckDB only knows its text.
     """
 
-    error: BaseException | None = None
-
     def __init__(
-        self, arrow: Any, schema: pyarrow.Schema, rows: Callable[[], Sequence[Sequence[Any]]]
+        self, arrow: Any, columns: pyarrow.Schema, rows: Callable[[], Sequence[Sequence[Any]]]
     ) -> None:
-        self._arrow = arrow
-        self.columns = schema
+        super().__init__(arrow, columns)
         self._rows = rows
 
-    def __arrow_c_schema__(self) -> Any:
-        return self.columns.__arrow_c_schema__()
-
-    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
-        try:
-            columns = list(zip(*self._rows())) or [()] * len(self.columns)
-        except Exception as exc:
-            self.error = exc
-            raise
+    def _batches(self) -> Iterator[pyarrow.RecordBatch]:
+        columns = list(zip(*self._rows())) or [()] * len(self.columns)
         arrays = [
             self._arrow.array(list(values), field.type)
             for values, field in zip(columns, self.columns)
         ]
-        return self._arrow.Table.from_arrays(arrays, schema=self.columns).__arrow_c_stream__()
+        yield self._arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
 
 
-class FrameSource:
+class FrameSource(TableSource):
     """Poses of a frame in another, for each robot: at each time at which tf has one of the way.
+
+    Columns are KEY (receive time), NODE, translation (m) and rotation (a unit quaternion). A hint
+    is a frame that is in no transform.
 
     Args:
         catalog: The topics.
@@ -213,17 +226,12 @@ class FrameSource:
         target: Frame in which the poses are.
         frame: The moving frame.
         watch: Called repeatedly during a read; an exception from it ends the read.
-
-    Attributes:
-        columns: KEY (receive time), NODE, translation (m) and rotation (a unit quaternion).
-        error: Error that ended a read.
-        hints: Why there is no pose, known when all was read: a frame that is in no transform.
     """
 
     def __init__(
         self, catalog: Catalog, whose: Whose, target: str, frame: str, watch: Watch
     ) -> None:
-        self._arrow = arrow = load_arrow("sql")
+        arrow = load_arrow("sql")
         self._catalog = catalog
         self._whose = whose
         self._frames = (target, frame)
@@ -231,19 +239,9 @@ class FrameSource:
         kinds = [
             arrow.struct([(axis, arrow.float64()) for axis in axes]) for axes in ("xyz", "xyzw")
         ]
-        self.columns = arrow.schema(
-            [("KEY", arrow.timestamp("ns")), ("NODE", arrow.string())]
-            + list(zip(("translation", "rotation"), kinds))
-        )
-        self.error: BaseException | None = None
-        self.hints: list[str] = []
-
-    def __arrow_c_schema__(self) -> Any:
-        return self.columns.__arrow_c_schema__()
-
-    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
-        reader = self._arrow.RecordBatchReader.from_batches(self.columns, self._batches())
-        return reader.__arrow_c_stream__()
+        own = [("KEY", arrow.timestamp("ns")), ("NODE", arrow.string())]
+        columns = [*own, *zip(("translation", "rotation"), kinds)]
+        super().__init__(arrow, arrow.schema(columns))
 
     def _robots(self) -> Sequence[str]:
         """Return the nodeIDs with transforms, of those that are asked for.
@@ -264,28 +262,22 @@ class FrameSource:
     def _batches(self) -> Iterator[pyarrow.RecordBatch]:
         arrow, (target, frame) = self._arrow, self._frames
         reasons: list[str] = []
-        try:
-            for node in self._robots():
-                writers = self._whose.writers
-                chain = FrameChain(TfRecording(self._catalog.get, node, writers), frame, target)
-                for track in Poses(chain).tracks(0, MAX_NS):
-                    self._watch()
-                    keys = arrow.array(track.times, arrow.timestamp("ns"))
-                    vectors = (track.poses.moved, track.poses.turned)
-                    structs = [
-                        arrow.StructArray.from_arrays(
-                            [arrow.array(values[:, n]) for n in range(values.shape[1])],
-                            fields=list(field.type),
-                        )
-                        for values, field in zip(vectors, list(self.columns)[2:])
-                    ]
-                    nodes = arrow.repeat(node, len(track.times))
-                    yield arrow.RecordBatch.from_arrays(
-                        [keys, nodes, *structs], schema=self.columns
+        for node in self._robots():
+            writers = self._whose.writers
+            chain = FrameChain(TfRecording(self._catalog.get, node, writers), frame, target)
+            for track in Poses(chain).tracks(0, MAX_NS):
+                self._watch()
+                keys = arrow.array(track.times, arrow.timestamp("ns"))
+                vectors = (track.poses.moved, track.poses.turned)
+                structs = [
+                    arrow.StructArray.from_arrays(
+                        [arrow.array(values[:, n]) for n in range(values.shape[1])],
+                        fields=list(field.type),
                     )
-                reasons.append(chain.unknown_frame())
-            if all(reasons) and not self.hints:
-                self.hints += reasons[:1]
-        except Exception as exc:
-            self.error = exc
-            raise
+                    for values, field in zip(vectors, list(self.columns)[2:])
+                ]
+                nodes = arrow.repeat(node, len(track.times))
+                yield arrow.RecordBatch.from_arrays([keys, nodes, *structs], schema=self.columns)
+            reasons.append(chain.unknown_frame())
+        if all(reasons) and not self.hints:
+            self.hints += reasons[:1]

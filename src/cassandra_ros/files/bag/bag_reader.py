@@ -748,10 +748,6 @@ class BagReader(BagIndex, MessageFile):
         self._file.close()
         self._index.close()
 
-    def compressions(self) -> dict[str, int]:
-        """Return the number of chunks by compression. This reads the header of every chunk."""
-        return dict(Counter(self._chunk_header(i)[0] for i in range(self.chunk_count)))
-
     def chunk_content(self, chunk: int) -> tuple[bytes, bagformat.ChunkMessages]:
         """Read a chunk. Return its content and the list of its messages, see MessageFile."""
         # From _chunk_header on, each read begins where the one before it has ended.

@@ -296,8 +296,7 @@ def _counts(reader: MessageFile, numbers: AbstractSet[int], times: TimeRange) ->
     """
     if times == TimeRange() or not numbers:
         return reader.counts
-    chunks = range(reader.chunk_count)
-    messages = (message for chunk in chunks for message in reader.chunk_messages(chunk, numbers))
+    messages = reader.messages(numbers)
     return Counter(
         message.number for message in messages if times.low <= message.t_ns <= times.high
     )
@@ -454,11 +453,7 @@ def _in_order(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
     """Yield the entries of rows, which come by receive time; those of equal time by rank."""
     for _, group in groupby(rows, lambda row: row.received):
         # Equal ranks keep their order: it is that of an export, by robot and _seq.
-        yield from sorted(map(ranks.entry_of, group), key=_place)
-
-
-def _place(entry: Entry) -> tuple[int, int]:
-    return entry.t_ns, entry.rank
+        yield from sorted(map(ranks.entry_of, group), key=lambda entry: entry.rank)
 
 
 def _compare(
@@ -502,11 +497,7 @@ def _entries_of_bag(
             c = connections[place]
             rank = rank_of[place]
             entries.append(Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic))
-        yield from sorted(entries, key=_rank_and_position)
-
-
-def _rank_and_position(entry: Entry) -> tuple[int, int]:
-    return entry.rank, entry.position
+        yield from sorted(entries, key=lambda entry: (entry.rank, entry.position))
 
 
 class Comparison:

@@ -8,7 +8,7 @@ import os
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
-from typing import Iterable, Iterator, Mapping, Sequence, Union
+from typing import Iterable, Iterator, Sequence, Union
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, MessageNotFound
@@ -26,7 +26,6 @@ from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import AroundRule, EventRule
 from cassandra_ros.topics.event_times import Reads
 from cassandra_ros.topics.overview.latched_messages import LatchedFinder, LatchedRecord, tests_of
-from cassandra_ros.topics.row_finder import Filter
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -69,7 +68,6 @@ def export_bag(
     force: bool = False,
     progress: MessageProgress | None = None,
     where: Conditions = None,
-    empty: bool = False,
     run: RunName = None,
     latched: bool = True,
     event: EventRule = None,
@@ -99,7 +97,6 @@ def export_bag(
         progress: Callback for the messages that were written, see MessageProgress.
         where: Topic -> condition, as in readMessages. For these topics only messages that satisfy
             the condition are exported; for all other topics, all messages.
-        empty: Write a file even if there are no messages for it.
         run: Name or writer id of the recordings or imports to export; None = all.
         latched: If there is a start, begin the file with the messages that were latched before it:
             the last message of each latching publisher (of /tf_static, say) in the runs that the
@@ -130,7 +127,7 @@ def export_bag(
     rows = _find_rows(catalog, names, reads, where, latched and has_start)
     report = ExportReport(os.fspath(path))
     first = list(islice(rows, 1))
-    if not (first or empty):
+    if not first:
         why = why_empty(catalog, names, nodeID, run)
         raise MessageNotFound(f"{report.path} is not written, for there is no such message: {why}")
     with make_file(path, compression) as writer:
@@ -161,39 +158,24 @@ def _find_rows(
     where: Conditions,
     latched: bool,
 ) -> Iterator[tuple[int, StoredRow]]:
-    """Yield (time in the file, row) of each message; see _rows_of_parts.
+    """Yield (time in the file, row) of each message of the parts of a read, in their order.
 
-    Args:
-        latched: Whether each part begins with the messages that were latched before it.
+    The time is the receive time. With ``latched`` each part begins with the messages that were
+    latched before it and were not given yet; their time is the start of the part.
     """
     tables, whose = catalog.tables(topics), reads.whole.whose
     filters = catalog.filters(where, topics, whose)
     finder = LatchedFinder(catalog.keyspace, tables, whose, tests_of(catalog, where, whose))
-    return _rows_of_parts(catalog, tables, filters, reads, finder if latched else None)
-
-
-def _rows_of_parts(
-    catalog: Catalog,
-    tables: Sequence[TopicTable],
-    filters: Mapping[str, Filter],
-    reads: Reads,
-    finder: LatchedFinder | None,
-) -> Iterator[tuple[int, StoredRow]]:
-    """Yield (time in the file, row) of each message of the parts of a read, in their order.
-
-    The time is the receive time. With a finder each part begins with the messages that were latched
-    before it and were not given yet; their time is the start of the part.
-    """
     given = LatchedRecord()
     # A later part needs to know which latched messages this one had.
-    records = finder is not None and len(reads.parts) > 1 and finder.latches
+    records = latched and len(reads.parts) > 1 and finder.latches
     for read in reads.parts:
         low, high = read.time_range
-        earlier = [] if finder is None else given.changes(finder.of(read.whose), low, high)
+        earlier = given.changes(finder.of(read.whose), low, high) if latched else []
         for row in earlier:
             yield low, row
         for row in catalog.merged(tables, filters, read, received=True):
-            if records and finder is not None and finder.is_latched(row):
+            if records and finder.is_latched(row):
                 given.note(row)
             yield row.received, row
 
@@ -202,10 +184,8 @@ def _events(catalog: Catalog, reads: Reads, times: TimeRange, whose: Whose) -> I
     """Yield the events of robots that meet the time range of the messages, and one of the parts.
 
     Args:
-        times: First and last time in the file; the first after the last = there is no message.
+        times: First and last time in the file.
     """
-    if times.low > times.high:
-        return
     starts = [read.time_range.low for read in reads.parts]
     for event in catalog.keyspace.events.find(within=times, whose=whose):
         # The last part that begins before the event ends; the parts do not overlap.

@@ -160,10 +160,6 @@ class McapReader(MessageFile):
         """Close the file. A second call does nothing."""
         self._file.close()
 
-    def compressions(self) -> dict[str, int]:
-        """Return the number of chunks by compression."""
-        return dict(Counter(chunk.head.compression for chunk in self._chunks))
-
     def chunk_info(self, chunk: int) -> ChunkInfo:
         """Return the index entry of a chunk, see MessageFile."""
         entry = self._chunks[chunk]

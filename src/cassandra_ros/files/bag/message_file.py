@@ -329,25 +329,17 @@ class MessageFile(ABC):
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def messages(
-        self, numbers: AbstractSet[int] | None = None, start: int = 0
-    ) -> Iterator[FileMessage]:
+    def messages(self, numbers: AbstractSet[int] | None = None) -> Iterator[FileMessage]:
         """Read messages in the order of the file.
 
         Args:
             numbers: Numbers of the connections to read; None = all.
-            start: Position of the first message to read.
 
         Raises:
             BagError: A chunk is damaged or contradicts the index; the text names the chunk.
         """
-        first = max(self.chunk_count - 1, 0)
-        while first and self.chunk_info(first).first > start:
-            first -= 1
-        for chunk in range(first, self.chunk_count):
-            for message in self.chunk_messages(chunk, numbers):
-                if message.position >= start:
-                    yield message
+        for chunk in range(self.chunk_count):
+            yield from self.chunk_messages(chunk, numbers)
 
     def chunk_messages(
         self, chunk: int, numbers: AbstractSet[int] | None = None

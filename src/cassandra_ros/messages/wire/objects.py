@@ -219,7 +219,7 @@ class _ObjectCompiler:
         if field.type == "string" and not field.is_array:
             steps.append(TextField())
         elif field.type not in _NUMBERS:
-            size = _fixed(field.type, self._specs)
+            size = fixed_size(field.type, self._specs)
             steps.append(_ElementArray(field.length, size, self.element(field.type)))
         elif field.is_array and field.length is None:
             steps.append(PrimitiveArray(field.type))
@@ -260,11 +260,6 @@ class _ObjectCompiler:
             return getattr(namespace[package].msg, name) if generated is None else generated
         except (KeyError, AttributeError) as exc:
             raise CannotBatch from exc
-
-
-def _fixed(type_: str, specs: Specs) -> int | None:
-    """Return the size of an array's elements, bytes; None if it varies."""
-    return PRIMITIVE_SIZES[type_] if type_ in _STAMPS else fixed_size(type_, specs)
 
 
 def _least(type_: str, specs: Specs) -> int:

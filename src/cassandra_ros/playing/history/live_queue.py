@@ -121,10 +121,6 @@ class LiveQueue:
         except ClockNotSet:
             return 0
 
-    def note_recorded(self, recorded: bool) -> None:
-        """Note whether a recorder stores the topic."""
-        self.recorded = recorded
-
     def begin(self) -> bool:
         """Return whether the time is known.
 

@@ -14,15 +14,7 @@ import logging
 import time
 from collections import Counter as Count
 from functools import lru_cache
-from typing import (
-    Callable,
-    Counter,
-    Iterable,
-    Iterator,
-    Mapping,
-    NamedTuple,
-    Tuple,
-)
+from typing import Callable, Counter, Iterable, Iterator, Mapping, NamedTuple, Tuple
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
 from cassandra_ros.keys import SECOND_NS, split_seq
@@ -308,7 +300,7 @@ class History:
             self._checked_at = now
             self._written = self._past.is_written(self._queue.now_ns())
             self._doubtful = self._written or self._past.may_be_written()
-            self._queue.note_recorded(self._written)
+            self._queue.recorded = self._written
 
     def _bounds(self) -> dict[_WriterStream, _Arrival] | None:
         """Return for each stream the first row that comes live instead; None = not known yet."""

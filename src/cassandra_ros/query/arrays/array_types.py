@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.name_resolution import ResultColumn
 from cassandra_ros.query.rows.projection import Projection, Projections
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.expressions import INTEGER
-from cassandra_ros.query.tree.field_names import Array
+from cassandra_ros.query.tree.field_names import Array, FieldRef
 from cassandra_ros.query.tree.syntax import Select
 
 if TYPE_CHECKING:
@@ -62,6 +63,13 @@ def _type_of(output: ResultColumn, table: Table, unnested: Sequence[Array]) -> A
     ref, definition = output.ref, table.definition
     if ref is None or definition is None:
         return ArrayType(output.kind)
+    return type_of_field(ref, definition, unnested)
+
+
+def type_of_field(
+    ref: FieldRef, definition: Definition, unnested: Sequence[Array] = ()
+) -> ArrayType:
+    """Return the type of a field, without the arrays of messages that are unnested."""
     fields, msg_type = [], definition.type
     for step in ref.steps:
         fields.append(next(f for f in definition.specs[msg_type].fields if f.name == step.name))

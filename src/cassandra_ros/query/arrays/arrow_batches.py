@@ -143,7 +143,7 @@ class _BatchMaker:
         fields, reader = self._schema.of_table(table), self._schema.row_columns(table)
         if not fields or table.definition is None:
             return self._with_own_columns(batches, ())
-        if reader is not None:
+        if reader is not None and not batches[0].has_messages:
             parts = self._schema.parts(table)
             cells = [cells for batch in batches for cells in batch.cells(parts)]
             return self._with_own_columns(batches, reader.make(cells))
@@ -209,26 +209,21 @@ def read_record_batches(
         watch: Called for each batch of messages; an exception from it ends the read.
 
     Raises:
-        StoreUnavailable: The topic was converted or removed during the read.
+        StoreUnavailable: The topic was removed during the read.
     """
     maker = _BatchMaker(schema)
-    waiting: list[Batch] = []
+    waiting: dict[tuple[str, bool], list[Batch]] = {}
+    """What is not yielded yet, by what can be in one record batch."""
     count = size = 0
     try:
         for batch in read(schema.parts):
             watch()
-            if waiting and batch.table.name != waiting[0].table.name:
-                yield maker.make(waiting)
-                waiting, count, size = [], 0, 0
-            waiting.append(batch)
+            waiting.setdefault((batch.table.name, batch.has_messages), []).append(batch)
             count += len(batch)
             size += batch.size
             if count >= ARROW_BATCH_MESSAGES or size >= ARROW_BATCH_BYTES:
-                yield maker.make(waiting)
-                waiting, count, size = [], 0, 0
+                yield from map(maker.make, waiting.values())
+                waiting, count, size = {}, 0, 0
     except TopicNotFound as exc:
-        raise StoreUnavailable(
-            f"topic {topic} was converted or removed while it was read: ask again"
-        ) from exc
-    if waiting:
-        yield maker.make(waiting)
+        raise StoreUnavailable(f"topic {topic} was removed while it was read") from exc
+    yield from map(maker.make, waiting.values())

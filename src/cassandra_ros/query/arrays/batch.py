@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Batches: messages of one table that are read together.
 
-The messages of a block, or of a page of rows, are a batch; other rows are cut into batches
-(``row_batches``). A batch has the keys of its messages, and either the messages or some of their
-columns. Which of them a reader needs of a table, it says with ``RowParts``. Messages lie in planes,
-so that a field of all of them is read at once.
+The messages of a block or of a page of rows, or a part of them, are a batch; other rows are cut
+into batches (``row_batches``). A batch has the keys of its messages, and either the messages or
+some of their columns. Which of them a reader needs of a table, it says with ``RowParts``. Messages
+lie in planes, so that a field of all of them is read at once.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from contextlib import suppress
+from functools import cached_property
 from itertools import groupby
 from operator import attrgetter
 from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
-from cassandra_ros.keys import COUNTER_BITS
+from cassandra_ros.keys import COUNTER_BITS, Position
 from cassandra_ros.messages.wire.message_stacks import (
     ByteArray,
     Int64Array,
@@ -77,6 +78,8 @@ class Batch(ABC):
     """
 
     names: Sequence[str] = ()
+    has_messages = True
+    """Whether the messages were read; else only their keys, or some columns."""
 
     def __init__(
         self, table: Table, times: Int64Array, seqs: Int64Array, owners: Sequence[Owner]
@@ -129,9 +132,13 @@ class Batch(ABC):
 class StackedBatch(Batch):
     """Messages of one robot that lie together, as those of a block, in the order of the read.
 
-    Args:
+    Attributes:
         node: nodeID of the messages.
-        groups: The messages by size.
+
+    Args:
+        groups: Messages by size.
+        chosen: For each message in ``groups`` whether it is in the batch; None = all are. The
+            others are kept until ``groups`` or ``size`` is asked.
         unsure: For each message whether the condition of the read has to be checked again, because
             the store is not sure; None = all have to be.
     """
@@ -143,39 +150,57 @@ class StackedBatch(Batch):
         times: Int64Array,
         seqs: Int64Array,
         groups: Sequence[tuple[Int64Array, Planes]],
+        chosen: NDArray[np.bool_] | None = None,
         unsure: NDArray[np.bool_] | None = None,
     ) -> None:
         super().__init__(table, times, seqs, _writers_of(node, seqs))
-        self._node, self._groups, self._unsure = node, groups, unsure
+        self.node, self._groups, self._chosen, self._unsure = node, groups, chosen, unsure
 
     @property
     def size(self) -> int:
         """Number of bytes of the messages."""
-        return sum(planes.size for _, planes in self._groups)
+        return sum(planes.size for _, planes in self.groups)
 
     @property
-    def groups(self) -> SizeGroups:
+    def groups(self) -> Sequence[tuple[Int64Array, Planes]]:
         """The messages; one that is in no group is unreadable."""
+        if self._chosen is not None:
+            self._groups, self._chosen = choose_groups(self._groups, self._chosen), None
         return self._groups
 
     @property
     def wires(self) -> Sequence[bytes | None]:
         """The messages one by one; None = it is unreadable."""
         wires: list[bytes | None] = [None] * len(self)
-        for members, planes in self._groups:
+        for members, planes in self.groups:
             size, data = len(planes), planes.T.tobytes()
             for k, n in enumerate(members.tolist()):
                 wires[n] = data[k * size : (k + 1) * size]
         return wires
 
+    def position_of(self, n: int) -> Position:
+        """Return the position of a message by its index."""
+        return Position(int(self.times[n]), self.node, int(self.seqs[n]), self.table.name)
+
     def only(self, mask: NDArray[np.bool_]) -> StackedBatch:
         """Return the batch of some of its messages: a bool for each."""
-        groups = choose_groups(self._groups, mask)
-        return StackedBatch(self.table, self._node, self.times[mask], self.seqs[mask], groups)
+        if mask.all():
+            return self
+        chosen = mask
+        if self._chosen is not None:
+            chosen = self._chosen.copy()
+            chosen[chosen] = mask
+        times, seqs = self.times[mask], self.seqs[mask]
+        return StackedBatch(self.table, self.node, times, seqs, self._groups, chosen)
+
+    @property
+    def unsure(self) -> NDArray[np.bool_]:
+        """For each message whether the condition of the read has to be checked again."""
+        return np.ones(len(self), bool) if self._unsure is None else self._unsure
 
     def passing(self, projection: Projection) -> StackedBatch:
         """Return the batch of those messages that satisfy the condition of a projection."""
-        unsure = np.ones(len(self), bool) if self._unsure is None else self._unsure
+        unsure = self.unsure
         if not unsure.any():
             return self
         doubtful = self.only(unsure)
@@ -186,6 +211,58 @@ class StackedBatch(Batch):
             for identity, wire in zip(doubtful.identities(runs=projection.runs), wires)
         ]
         return self.only(mask)
+
+
+class Window:
+    """Batches whose messages may lie between each other; no other message of the read does.
+
+    Attributes:
+        batches: The batches.
+    """
+
+    def __init__(self, batches: Sequence[StackedBatch]) -> None:
+        self.batches = batches
+
+    def __len__(self) -> int:
+        return sum(map(len, self.batches))
+
+    @property
+    def size(self) -> int:
+        """Number of bytes of the messages."""
+        return sum(batch.size for batch in self.batches)
+
+    @property
+    def position(self) -> Position:
+        """Position of the last message."""
+        return max(batch.position_of(-1) for batch in self.batches)
+
+    @cached_property
+    def order(self) -> Int64Array | None:
+        """Index of each message, in the order of reading, among those of all batches.
+
+        None: they are in this order.
+        """
+        if len(self.batches) == 1:
+            return None
+        times = np.concatenate([batch.times for batch in self.batches])
+        seqs = np.concatenate([batch.seqs for batch in self.batches])
+        names = [b.node for b in self.batches], [b.table.name for b in self.batches]
+        counts = list(map(len, self.batches))
+        nodes, tables = (
+            np.repeat(np.unique(texts, return_inverse=True)[1], counts) for texts in names
+        )
+        order: Int64Array = np.lexsort((tables, seqs, nodes, times))
+        return order
+
+    @cached_property
+    def _starts(self) -> Int64Array:
+        return np.cumsum([0, *map(len, self.batches)])
+
+    def position_of(self, n: int) -> Position:
+        """Return the position of a message by its number in the order of reading."""
+        at = n if self.order is None else int(self.order[n])
+        number = int(self._starts.searchsorted(at, "right")) - 1
+        return self.batches[number].position_of(at - int(self._starts[number]))
 
 
 class RowBatch(Batch):
@@ -210,6 +287,7 @@ class RowBatch(Batch):
         if table.named:
             self.names = [row.name for row in rows]
         self._wires, self._cells = wires, cells
+        self.has_messages = wires is not None
 
     @property
     def size(self) -> int:
@@ -357,6 +435,9 @@ ReadBatches = Callable[[PartsOf], Iterator[Batch]]
 
 CheckOf = Callable[[Table], Projection]
 """Function of a table that returns the check of a condition on its messages."""
+LeastOf = Callable[[Table], Optional[int]]
+"""Function of a table: the minimum number of messages that come together, for each portion in which
+they were read; None = they come one by one."""
 
 
 def only_keys(table: Table) -> RowParts:

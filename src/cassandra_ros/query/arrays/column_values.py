@@ -140,12 +140,16 @@ def as_uint64(raws: Raws) -> AnyArray:
 
 
 def _texts(raws: Raws) -> ColumnArray:
-    """Return texts as objects, None for a missing one."""
+    return ColumnArray(decode_texts(raws), _absent(raws))
+
+
+def decode_texts(raws: Raws) -> AnyArray:
+    """Return texts as an array of objects, None for a missing one."""
     # Texts such as frame names repeat: equal texts share one object.
-    texts = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
+    texts = {raw: None if raw is None else raw.decode("utf-8", "replace") for raw in set(raws)}
     values = np.empty(len(raws), object)
-    values[:] = [None if raw is None else texts[raw] for raw in raws]
-    return ColumnArray(values, _absent(raws))
+    values[:] = [texts[raw] for raw in raws]
+    return values
 
 
 def numbers_of(kind: str, wire: bytes) -> AnyArray:

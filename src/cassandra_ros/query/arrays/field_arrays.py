@@ -20,7 +20,7 @@ from cassandra_ros.query.arrays.array_types import MIXED, AnyArray, ArrayType, u
 from cassandra_ros.query.arrays.batch import ReadBatches
 from cassandra_ros.query.arrays.column_values import empty_values, join_values, rows_of, stack_cells
 from cassandra_ros.query.arrays.table_values import TableValues
-from cassandra_ros.query.plan.bounds import bounds_of, with_stays
+from cassandra_ros.query.plan.bounds import plan_of
 from cassandra_ros.query.protocols import Row, Source, Table
 from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.result_groups import analyse_select
@@ -72,7 +72,8 @@ def gather_fields(
         text, params = where
     if text is not None:
         parse_condition(text, params)  # parsed alone, so that it cannot close the bracket around it
-    select = _with_times(_statement(topic, fields, text, params), topic.tables, whose)
+    statement = _statement(topic, fields, text, params)
+    select, _ = plan_of(statement, topic.tables, Read(whose=whose))
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
@@ -108,12 +109,6 @@ def _mask(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
     mask = np.broadcast_to(missing[:, None], values.shape) if many else missing
     masked_array: AnyArray = np.ma.MaskedArray(values, mask)  # type: ignore[no-untyped-call]
     return masked_array
-
-
-def _with_times(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
-    """Return a statement whose NEAR and EVENT conditions know their times."""
-    bounds = bounds_of(select, Read(whose=whose), tables)
-    return with_stays(select, tables, bounds.read)
 
 
 def _statement(

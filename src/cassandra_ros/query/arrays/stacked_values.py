@@ -8,7 +8,7 @@ caller cuts the fields out of messages that share no layout with others, one by 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Sequence, Tuple
+from typing import NamedTuple, Sequence, Tuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.message_stacks import Stack, stacker
 from cassandra_ros.query.arrays.array_types import AnyArray, ArrayType
 from cassandra_ros.query.arrays.batch import SizeGroups
-from cassandra_ros.query.arrays.column_values import ColumnArray, empty_values
+from cassandra_ros.query.arrays.column_values import ColumnArray, decode_texts, empty_values
 from cassandra_ros.query.tree.field_names import FieldRef
 
 _NUMBERS = ("int", "float", "bool", "time", "duration")
@@ -83,12 +83,7 @@ def _texts(stack: Stack, path: str) -> AnyArray:
     ((at, size),) = stack.layout.texts[path]
     characters = stack.planes[at : at + size].T.tobytes()
     count = stack.planes.shape[1]
-    cut = [characters[n * size : (n + 1) * size] for n in range(count)]
-    # Texts such as frame names repeat: equal texts share one object.
-    texts = {raw: raw.decode("utf-8", "replace") for raw in set(cut)}
-    values: Any = np.empty(count, object)
-    values[:] = [texts[raw] for raw in cut]
-    return values  # type: ignore[no-any-return]
+    return decode_texts([characters[n * size : (n + 1) * size] for n in range(count)])
 
 
 def read_stacked(

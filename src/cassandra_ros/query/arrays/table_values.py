@@ -137,7 +137,7 @@ class TableValues:
 
     def _stacked_fields(self, columns: Mapping[str, FieldColumn]) -> list[StackedField]:
         """Return all fields, if they can be read from many messages at once; else []."""
-        if self._table.by_field or self._arrays or not self._by_column:
+        if self._arrays or not self._by_column:
             return []
         fields = [
             StackedField(output.ref, columns[output.ref.column], kind)
@@ -169,10 +169,13 @@ class TableValues:
 
     def add(self, batch: Batch) -> None:
         """Add messages that satisfy the condition."""
+        if self._batches and batch.has_messages != self._batches[0].has_messages:
+            self.flush()
         self._batches.append(batch)
         self._count += len(batch)
         self._bytes += batch.size
-        limit = STACKED_MESSAGES if self._stacked else OTHER_MESSAGES
+        stacked = self._stacked and batch.has_messages
+        limit = STACKED_MESSAGES if stacked else OTHER_MESSAGES
         if self._count >= limit or self._bytes >= CONVERTED_BYTES:
             self.flush()
 
@@ -183,7 +186,8 @@ class TableValues:
         self._times = np.concatenate([batch.times for batch in self._batches])
         convert = self._value_by_value
         if self._by_column:
-            convert = self._all_at_once if self._stacked else self._column_by_column
+            stacked = self._stacked and self._batches[0].has_messages
+            convert = self._all_at_once if stacked else self._column_by_column
         try:
             chunks = convert()
         except (ValueError, struct.error) as exc:

@@ -27,6 +27,7 @@ from cassandra_ros.messages.wire.message_stacks import (
     stacker,
 )
 from cassandra_ros.query.protocols import UnpackedMessages
+from cassandra_ros.query.tree.expressions import to_float
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.literals import fitting
 from cassandra_ros.query.tree.syntax import (
@@ -168,12 +169,7 @@ def _leaf_test(
     get = _getter(ref)
     if get is None or operator == "LIKE":
         return None
-    dtype = np.dtype(np.int64) if ref.part or ref.type in _NS else DTYPES[ref.type]
-    numbers = [v for v in values if not isinstance(v, str)]
-    if operator in ("=", "CONTAINS"):
-        compare = _one_of(dtype, numbers)
-    else:
-        compare = _comparison(dtype, operator, numbers[0])
+    compare = _number_test(ref, operator, [v for v in values if not isinstance(v, str)])
     if takes_nan:
         compare = _or_nan(compare)
     return _Test(lambda stack: np.logical_or.reduce(compare(get(stack))), is_single)
@@ -212,13 +208,8 @@ def _elements_test(
     if not numbers:
         return _NEVER
     refs.append(ref)
-    dtype = np.dtype(np.int64) if ref.type in _NS else DTYPES[ref.type]
-    if operator == "=":
-        compare = _one_of(dtype, numbers)
-    else:
-        compare = _comparison(dtype, operator, numbers[0])
-    read = get
-    return _Test(lambda stack: join(compare(read(stack)), axis=0), True)
+    compare = _number_test(ref, operator, numbers)
+    return _Test(lambda stack: join(compare(get(stack)), axis=0), True)
 
 
 _NS = ("time", "duration")
@@ -305,6 +296,14 @@ def _has_utf8(text: str) -> bool:
     return True
 
 
+def _number_test(ref: FieldRef, operator: str, values: Sequence[Any]) -> _Compare:
+    """Compile the comparison of a field's numbers with the values of a condition."""
+    dtype = np.dtype(np.int64) if ref.part or ref.type in _NS else DTYPES[ref.type]
+    if operator in ("=", "CONTAINS"):
+        return _one_of(dtype, values)
+    return _comparison(dtype, operator, values[0])
+
+
 def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
     """Compile a comparison (not =) of numbers of a type that is exact, like Python's."""
     below, above = _neighbours(dtype, value)
@@ -358,7 +357,7 @@ def _neighbours(dtype: np.dtype[Any], value: Any) -> tuple[Any, Any]:
     if value != value:
         return None, None
     if dtype.kind == "f":
-        return _float_neighbours(dtype, value)
+        return float_neighbours(dtype, value)
     ends = np.iinfo(dtype)
     low, high = int(ends.min), int(ends.max)
     below = high if value > high else None if value < low else math.floor(value)
@@ -369,13 +368,10 @@ def _neighbours(dtype: np.dtype[Any], value: Any) -> tuple[Any, Any]:
     )
 
 
-def _float_neighbours(dtype: np.dtype[Any], value: Any) -> tuple[Any, Any]:
-    try:
-        wide = float(value)
-    except OverflowError:
-        wide = math.inf if value > 0 else -math.inf
+def float_neighbours(dtype: np.dtype[Any], value: Any) -> tuple[Any, Any]:
+    """Return the largest float of a type that is <= a value, and the smallest that is >= it."""
     with np.errstate(over="ignore"):
-        near = dtype.type(wide)
+        near = dtype.type(to_float(value))
         # Converted to Python numbers, which compare exactly.
         if float(near) == value:
             return near, near

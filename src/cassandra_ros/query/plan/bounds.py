@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, replace
 from itertools import chain
 from numbers import Real
@@ -50,7 +51,7 @@ from cassandra_ros.query.tree.syntax import (
     given,
     leaves,
 )
-from cassandra_ros.read import EVERYTHING, Named, Read, TimeRange, Whose
+from cassandra_ros.read import EVERYTHING, LAST_NS, Named, Read, TimeRange, Whose
 
 _ORDERED = ("<", "<=", ">", ">=")
 """Operators that need an order of the values."""
@@ -132,7 +133,7 @@ def bounds_of(select: Select, read: Read = EVERYTHING, tables: Sequence[Table] =
             name by < <= > or >=.
     """
     bounds = Bounds(read, empty=read.whose.empty).within(0, MAX_NS)
-    named, runs = any(table.named for table in tables), _distinct(table.runs for table in tables)
+    named, runs = any(table.named for table in tables), distinct(table.runs for table in tables)
     try:
         for conjunct in conjuncts(select.condition):
             bounds = _narrow(bounds, conjunct, named, runs)
@@ -227,6 +228,12 @@ def with_stays(
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
 
 
+def plan_of(select: Select, tables: Sequence[Table], read: Read) -> tuple[Select, Bounds]:
+    """Return the statement as by ``with_stays``, and its bounds as by ``bounds_of``."""
+    bounds = bounds_of(select, read, tables)
+    return with_stays(select, tables, bounds.read), bounds
+
+
 class _ReadScope(NamedTuple):
     """The messages that a statement reads."""
 
@@ -261,7 +268,7 @@ def _stay_finder(near: Near, scope: _ReadScope) -> Callable[[Sequence[Table]], S
     disk, whose = disk_of(near), scope.read.whose
 
     def find(tables: Sequence[Table]) -> Stays:
-        places, *others = _distinct(table.places for table in tables)
+        places, *others = distinct(table.places for table in tables)
         if others:
             reason = (
                 "NEAR is answered by one store, which knows where its robots were: ask each alone"
@@ -280,7 +287,7 @@ def _event_finder(leaf: InEvent, scope: _ReadScope) -> Callable[[Sequence[Table]
         raise StatementError(leaf.name.position, reason)
 
     def find(tables: Sequence[Table]) -> Stays:
-        first, *others = _distinct(table.events for table in tables)
+        first, *others = distinct(table.events for table in tables)
         return first.times(name, leaf.like, scope.read, others)
 
     return find
@@ -289,7 +296,7 @@ def _event_finder(leaf: InEvent, scope: _ReadScope) -> Callable[[Sequence[Table]
 _T = TypeVar("_T")
 
 
-def _distinct(lookups: Iterable[_T]) -> list[_T]:
+def distinct(lookups: Iterable[_T]) -> list[_T]:
     """Return the lookups of the keyspaces of some tables, each once.
 
     Tables of one keyspace share the object, so it identifies the keyspace.
@@ -390,16 +397,32 @@ def _unite(sources: Sequence[RangeSource]) -> RangeSource:
     def spans(low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         sign = -1 if reverse else 1
         streams = [source(low, high, reverse) for source in sources]
-        last: NsRange | None = None
         # Descending ranges are merged by their ends, ascending ones by their starts.
-        for span in heapq.merge(*streams, key=lambda span: sign * span[1 if reverse else 0]):
-            if last is not None and last[0] <= span[1] + 1 and span[0] - 1 <= last[1]:
-                last = min(last[0], span[0]), max(last[1], span[1])
-                continue
-            if last is not None:
-                yield last
-            last = span
-        if last is not None:
-            yield last
+        ordered = heapq.merge(*streams, key=lambda span: sign * span[1 if reverse else 0])
+        return merge_ranges(ordered)
 
     return spans
+
+
+def merge_ranges(ranges: Iterable[NsRange]) -> Iterator[TimeRange]:
+    """Yield time ranges, those that overlap or touch as one.
+
+    Args:
+        ranges: In the order of their starts, or in descending order of their ends.
+    """
+    merged: NsRange | None = None
+    for low, high in ranges:
+        if merged is not None and low <= merged[1] + 1 and merged[0] <= high + 1:
+            merged = min(merged[0], low), max(merged[1], high)
+            continue
+        if merged is not None:
+            yield TimeRange(*merged)
+        merged = low, high
+    if merged is not None:
+        yield TimeRange(*merged)
+
+
+def has_overlap(ranges: Sequence[NsRange], low: int, high: int) -> bool:
+    """Return whether one of some time ranges, sorted and disjoint, touches [low, high]."""
+    n = bisect_right(ranges, (high, LAST_NS)) - 1
+    return n >= 0 and ranges[n][1] >= low

@@ -43,7 +43,7 @@ from cassandra_ros.messages.index_field import MAX_INDEXED_TEXT_BYTES
 from cassandra_ros.messages.wire.cql_values import encode_value
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.messages.wire.zones import HIGH, LOW, zone_map
-from cassandra_ros.query.plan.block_filter import Sift, compile_sift
+from cassandra_ros.query.plan.block_filter import Sift, compile_sift, float_neighbours
 from cassandra_ros.query.plan.bounds import bounds_time
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
@@ -78,7 +78,10 @@ _RANGES = {cql_type: (-(2 ** (n - 1)), 2 ** (n - 1) - 1) for cql_type, n in _BIT
 _RANGES.update(boolean=(0, 1), varint=(0, 2**64 - 1))
 """Minimum and maximum of the integers in a column, by CQL type."""
 _COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge}
-_FLOATS: Any = {"float": numpy.float32, "double": numpy.float64}
+_FLOATS: dict[str, numpy.dtype[Any]] = {
+    "float": numpy.dtype(numpy.float32),
+    "double": numpy.dtype(numpy.float64),
+}
 
 
 @dataclass(frozen=True)
@@ -187,17 +190,8 @@ def _bound_ways(column: ServerColumn, operator: str, value: Comparable) -> Ways:
 
 def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
     """Encode the nearest float that is not greater (upwards) or not less than a value."""
-    kind = _FLOATS[cql_type]
-    try:
-        wide = float(value)
-    except OverflowError:
-        wide = math.inf if value > 0 else -math.inf  # type: ignore[operator]
-    with numpy.errstate(over="ignore"):
-        near = kind(wide)
-        # Converted to Python numbers, which compare exactly.
-        if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
-            near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
-    number = float(near)
+    below, above = float_neighbours(_FLOATS[cql_type], value)
+    number = float(below if upwards else above)
     # For the server −0.0 is less than 0.0: take the zero that lets both pass.
     return encode_value(cql_type, number if number else (-0.0 if upwards else 0.0))
 

@@ -390,8 +390,7 @@ class NameResolver:
         if isinstance(what, Aggregate):
             return self._aggregate(what, selected.text)
         if not isinstance(what, FieldPath):
-            column = self._output(what)
-            return [] if column is None else [column._replace(name=selected.text)]
+            return self.single(selected)
         columns = self._outputs_of(
             self._resolve(what, lambda definition: fields_of(what, definition))
         )
@@ -402,7 +401,7 @@ class NameResolver:
         return [output._replace(name=selected.alias) for output in columns[:1]]
 
     def single(self, selected: Selected) -> Sequence[ResultColumn]:
-        """Return the column of a term of GROUP BY or ORDER BY; [] = the table lacks it."""
+        """Return the column of one term, as of GROUP BY; [] = the table lacks it."""
         what = selected.what
         if isinstance(what, Aggregate):
             raise AssertionError("aggregates are ordered by the columns that show them")

@@ -86,6 +86,7 @@ class Extractor:
     level 0 is the message, level 1 an element of the first array.
 
     Attributes:
+        refs: The fields.
         columns: Columns of format ``ros`` that hold the fields, in order; None if a field has no
             column.
     """
@@ -93,6 +94,7 @@ class Extractor:
     def __init__(
         self, definition: Definition, refs: Sequence[FieldRef], unnested: Sequence[Array]
     ) -> None:
+        self.refs = refs
         self._plan = wire_plan(definition)
         self._depth = len(unnested)
         column_names = {column.name for column in self._plan.all_columns}
@@ -118,7 +120,7 @@ class Extractor:
             that are lists over the elements of the next level.
         """
         gets = [(n, source.gets) for n, source in enumerate(self._sources)]
-        conversions = [(n, g[level]) for n, g in gets if level < len(g) and g[level] is not _itself]
+        conversions = [(n, g[level]) for n, g in gets if level < len(g) and g[level] is not itself]
         return conversions, [n for n, g in gets if level + 1 < len(g)]
 
     @property
@@ -158,7 +160,7 @@ class Extractor:
 
     def _direct(self, place: int, stored: int, get: Get) -> ColumnField:
         column, decode = self._plan.columns[stored], self._plan.decoder(stored)
-        if get is not _itself:
+        if get is not itself:
             return ColumnField(place, stored, lambda raw: get(decode(raw)), "")
         number = column.kind not in ("text", "bool", "array", "wire") and not column.is_list
         code = CQL_CODES.get(column.element_type, "") if number else ""
@@ -242,11 +244,11 @@ def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]
     for number, step in enumerate(ref.steps, 1):
         field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)
         if field.length == 0 and ref.steps[:number] in unnested:
-            return [_itself] * (list(unnested).index(ref.steps[:number]) + 2)
+            return [itself] * (list(unnested).index(ref.steps[:number]) + 2)
         if field.length == 0:
             break
         msg_type = field.type
-    return [_itself]
+    return [itself]
 
 
 def _gets(ref: FieldRef, step_count: int, unnested: Sequence[Array]) -> list[Get]:
@@ -261,7 +263,7 @@ def _gets(ref: FieldRef, step_count: int, unnested: Sequence[Array]) -> list[Get
     for n, step in reversed(list(enumerate(ref.steps))):
         if step.many and ref.steps[: n + 1] in unnested:
             gets.append(get)
-            get = _itself
+            get = itself
         elif step.many:
             get = _each(get) if step.index is None else _at(step.index, get)
         if n >= step_count:
@@ -302,12 +304,13 @@ def _element_or_part(ref: FieldRef) -> Get:
     return get if ref.index is None else _at(ref.index, get)
 
 
-def _itself(value: object) -> object:
+def itself(value: object) -> object:
+    """Return the value."""
     return value
 
 
 _PARTS: dict[str, Get] = {
-    "": _itself,
+    "": itself,
     "secs": lambda ns: None if ns is None else ns // SECOND_NS,
     "nsecs": lambda ns: None if ns is None else ns % SECOND_NS,
 }
@@ -629,7 +632,7 @@ def _show_of(output: ResultColumn) -> Get | None:
     None = unchanged, or KEY, shown as the row's key.
     """
     if output.place == KEY_PLACE:
-        return _itself if output.kind == COUNT_KIND else None
+        return itself if output.kind == COUNT_KIND else None
     return _SHOWS.get(output.kind)
 
 

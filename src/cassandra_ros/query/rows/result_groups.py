@@ -7,11 +7,12 @@
 all rows. A name in GROUP BY or ORDER BY may be an alias. Columns for grouping and key must be
 computed even if they are not shown.
 
-``make_groups`` makes the rows. Values are equal as in conditions, but here NaN equals NaN, and
-missing is a value of its own. Groups and distinct rows come in the order of their first row; groups
-of ``time(…)`` are returned as soon as they are complete. Ordered rows are sorted by value, equal
-ones by KEY; NaN and, after it, missing values come last, for ASC and DESC. Aggregates take one pass
-and keep no rows (``tree/accumulators``); they ignore missing values, except ``count(*)``.
+``make_groups`` makes the rows, of all columns of many rows at a time. Values are equal as in
+conditions, but here NaN equals NaN, and missing is a value of its own. Groups and distinct rows
+come in the order of their first row; groups of ``time(…)`` are returned as soon as they are
+complete. Ordered rows are sorted by value, equal ones by KEY; NaN and, after it, missing values
+come last, for ASC and DESC. Aggregates take one pass and keep no rows (``tree/accumulators``); they
+ignore missing values, except ``count(*)``.
 
 MEMORY_BYTES limits the rows that are kept: for ORDER BY about 2 n rows with LIMIT n, else all; one
 row of each group; one of each set of equal rows.
@@ -20,14 +21,17 @@ row of each group; one of each set of equal rows.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import accumulate
+from itertools import accumulate, chain
 from sys import getsizeof
-from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple, Union
+from typing import Any, Callable, Iterable, Iterator, List, Sequence, Tuple, Union
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.projection import ResultRow
-from cassandra_ros.query.tree.accumulators import TOTALS, Count
+from cassandra_ros.query.tree.accumulators import TOTALS, Count, NumberColumn
 from cassandra_ros.query.tree.field_names import field_of
 from cassandra_ros.query.tree.syntax import (
     Aggregate,
@@ -42,6 +46,47 @@ from cassandra_ros.query.tree.syntax import (
 )
 
 What = Union[Term, Aggregate]
+Column = Union[List[Any], NumberColumn]
+"""The values of a column in some rows of the result: a list with None for a missing one, or an
+array of numbers, of which none is missing."""
+Columns = Sequence[Column]
+"""The columns of some rows, in the order of reading."""
+
+
+def columns_of(rows: Sequence[ResultRow]) -> Columns:
+    """Return the columns of some rows."""
+    return list(map(list, zip(*rows)))
+
+
+def join_columns(parts: Sequence[Columns], order: NDArray[np.int64] | None) -> Columns:
+    """Return the columns of several parts as one.
+
+    Args:
+        parts: The columns of each part, at least one.
+        order: Index of each row among those of all parts; None = they are in this order.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    joined: list[Column] = []
+    for columns in zip(*parts):
+        arrays = [column for column in columns if isinstance(column, np.ndarray)]
+        if len(arrays) == len(columns) and len({array.dtype for array in arrays}) == 1:
+            array = np.concatenate(arrays)
+            joined.append(array if order is None else array[order])
+        else:
+            values = list(chain.from_iterable(map(listed, columns)))
+            joined.append(values if order is None else [values[n] for n in order.tolist()])
+    return joined
+
+
+def rows_of(columns: Columns) -> Iterator[ResultRow]:
+    """Return the rows of some columns."""
+    return zip(*map(listed, columns))
+
+
+def listed(column: Column) -> list[Any]:
+    """Return the values of a column as objects of Python."""
+    return column if isinstance(column, list) else column.tolist()
 
 
 def analyse_select(select: Select, tables: Sequence[Table]) -> Select:
@@ -172,22 +217,25 @@ class Aggregation:
             for what in self._asked
         ]
 
-    def add(self, rows: Iterable[ResultRow]) -> None:
+    def add(self, columns: Columns) -> None:
         """Add rows with all columns, from which missing values are left out.
 
         InvalidQuery: the values of a field cannot be compared with each other.
         """
-        for row in rows:
-            for total, what, value in zip(self._totals, self._asked, row):
-                try:
-                    if value is not None:
-                        total.add(value)
-                except TypeError as exc:
-                    reason = (
-                        "the definitions of this topic hold values of different kinds there, "
-                        f"which {what.text.split('(')[0]} cannot compare ({exc})"
-                    )
-                    raise InvalidQuery(self._text, what.position, reason) from None
+        for total, what, column in zip(self._totals, self._asked, columns):
+            try:
+                if isinstance(column, list):
+                    for value in column:
+                        if value is not None:
+                            total.add(value)
+                else:
+                    total.add_array(column)
+            except TypeError as exc:
+                reason = (
+                    "the definitions of this topic hold values of different kinds there, "
+                    f"which {what.text.split('(')[0]} cannot compare ({exc})"
+                )
+                raise InvalidQuery(self._text, what.position, reason) from None
 
     def values(self) -> ResultRow:
         """Return the values of the columns for the rows so far."""
@@ -204,6 +252,10 @@ class _First:
         if self._value is None:
             self._value = value
 
+    def add_array(self, values: NumberColumn) -> None:
+        if len(values):
+            self.add(values[0].item())
+
     def value(self) -> object:
         return self._value
 
@@ -217,14 +269,14 @@ LEAST_KEPT = 1000
 
 
 def make_groups(
-    select: Select, names: Sequence[Sequence[str]], rows: Iterable[ResultRow], most: int | None
+    select: Select, names: Sequence[Sequence[str]], parts: Iterable[Columns], most: int | None
 ) -> Iterator[ResultRow]:
     """Make the rows of a result from rows with all columns, hidden ones included.
 
     Args:
         select: The analysed statement.
         names: Column names of each selected path, hidden ones included.
-        rows: Rows with all columns.
+        parts: All columns of some rows at a time.
         most: Maximum number of rows that are taken; None = all.
 
     Raises:
@@ -234,9 +286,11 @@ def make_groups(
     starts = [0, *accumulate(map(len, names))]
     width = starts[len(select.visible)]
     if select.group:
-        rows = _group(select, rows, width)
+        rows = _group(select, parts, width)
     elif select.aggregates:
-        rows = _total(select, rows)
+        rows = _total(select, parts)
+    else:
+        rows = chain.from_iterable(map(rows_of, parts))
     if select.distinct:
         rows = _distinct(select, rows, width)
     if select.order:
@@ -282,16 +336,17 @@ def _size(row: ResultRow) -> int:
     return size
 
 
-def _total(select: Select, rows: Iterable[ResultRow]) -> Iterator[ResultRow]:
+def _total(select: Select, parts: Iterable[Columns]) -> Iterator[ResultRow]:
     totals = Aggregation(select)
-    totals.add(rows)
+    for columns in parts:
+        totals.add(columns)
     yield totals.values()
 
 
-def _group(select: Select, rows: Iterable[ResultRow], width: int) -> Iterator[ResultRow]:
+def _group(select: Select, parts: Iterable[Columns], width: int) -> Iterator[ResultRow]:
     """Yield a row for each group, with the values of GROUP BY after its columns.
 
-    ``width``: Number of columns that are shown; those of GROUP BY follow in ``rows`` too.
+    ``width``: Number of columns that are shown; those of GROUP BY follow in ``parts`` too.
     """
     remedy = "group by less, or by time(1h), or choose fewer rows by WHERE KEY > …"
     memory = _Memory(select, select.group[0].position, remedy)
@@ -299,20 +354,48 @@ def _group(select: Select, rows: Iterable[ResultRow], width: int) -> Iterator[Re
     times = [n for n, t in enumerate(select.group) if isinstance(t, Call) and t.function == "time"]
     groups: dict[tuple[Any, ...], tuple[Aggregation, ResultRow]] = {}
     latest: Any = None
-    for row in rows:
-        by = row[group_columns]
-        key = tuple(map(_identity, by))
-        # Rows are sorted by KEY, so the groups of another time are complete.
-        if times and groups and key[times[0]] != latest:
-            yield from _finish(groups)
-            groups.clear()
-            memory.clear()
-        latest = key[times[0]] if times else None
-        if key not in groups:
-            memory.count_row(row, TOTAL_BYTES * len(row))
-            groups[key] = (Aggregation(select), by)
-        groups[key][0].add((row,))
+    for columns in parts:
+        for key, members in _members(columns[group_columns]).items():
+            # Rows are sorted by KEY, so the groups of another time are complete.
+            if times and groups and key[times[0]] != latest:
+                yield from _finish(groups)
+                groups.clear()
+                memory.clear()
+            latest = key[times[0]] if times else None
+            rows = [_chosen(column, members) for column in columns]
+            if key not in groups:
+                first = tuple([listed(column[:1])[0] for column in rows])
+                memory.count_row(first, TOTAL_BYTES * len(first))
+                groups[key] = (Aggregation(select), first[group_columns])
+            groups[key][0].add(rows)
     yield from _finish(groups)
+
+
+def _members(columns: Columns) -> dict[tuple[Any, ...], list[int]]:
+    """Return the indices of the rows of each group, the groups in the order of their first row."""
+    members: dict[tuple[Any, ...], list[int]] = {}
+    for n, key in enumerate(zip(*map(_identities, columns))):
+        members.setdefault(key, []).append(n)
+    return members
+
+
+def _identities(column: Column) -> Iterator[Any]:
+    """Yield what ``_identity`` returns for each value of a column."""
+    latest: Any = None
+    identity = None
+    for value in listed(column):
+        if value is not latest:  # one object stands for many rows, as a rounded time
+            latest, identity = value, _identity(value)
+        yield identity
+
+
+def _chosen(column: Column, members: Sequence[int]) -> Column:
+    """Return the values of a column in some rows, in their order."""
+    if len(members) == len(column):
+        return column
+    if isinstance(column, list):
+        return [column[n] for n in members]
+    return column[members]
 
 
 def _finish(

@@ -16,6 +16,15 @@ from collections import defaultdict
 from fractions import Fraction
 from typing import Any, Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
+NumberColumn = NDArray[Any]
+"""Numbers, times or bools, none of which is missing."""
+_LOW_BITS = 26
+"""Number of lower bits of a mantissa that are summed by themselves, so that 2^26 sums are exact."""
+_MANTISSA_BITS = 53
+
 
 class Count:
     """The number of values; the other aggregates have the same methods.
@@ -28,6 +37,10 @@ class Count:
     def add(self, value: Any) -> None:
         """Add a value."""
         self._count += 1
+
+    def add_array(self, values: NumberColumn) -> None:
+        """Add at most 2^26 values, in their order."""
+        self._count += len(values)
 
     def value(self) -> object:
         """Return the result for the values so far."""
@@ -45,6 +58,14 @@ class _Extreme(Count):
         # NaN is not equal to itself.
         if value == value and (self._best is None or self._better(value, self._best)):
             self._best = value
+
+    def add_array(self, values: NumberColumn) -> None:
+        if values.dtype.kind == "f":
+            values = values[values == values]
+        if len(values):
+            # Both find the first of equal values.
+            at = values.argmin() if self._better is operator.lt else values.argmax()
+            self.add(values[at].item())
 
     def value(self) -> object:
         return self._best
@@ -72,6 +93,28 @@ class _Sum(Count):
         numerator, denominator = value.as_integer_ratio()
         self._numerators[denominator] += numerator
 
+    def add_array(self, values: NumberColumn) -> None:
+        self._count += len(values)
+        if values.dtype.kind != "f":
+            self._numerators[1] += _sum_of_integers(values)
+            return
+        self._floats = True
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            floats = values.astype(np.float64)
+        finite = np.isfinite(floats)
+        for value in floats[~finite].tolist():
+            self._not_finite += value
+        mantissas, exponents = np.frexp(floats[finite])
+        whole = np.ldexp(mantissas, _MANTISSA_BITS).astype(np.int64)
+        least = int(exponents.min(initial=0))
+        # Sums of floats below 2^53 are exact.
+        high = np.bincount(exponents - least, (whole >> _LOW_BITS).astype(np.float64))
+        low = np.bincount(exponents - least, (whole & (2**_LOW_BITS - 1)).astype(np.float64))
+        for n in np.flatnonzero((high != 0) | (low != 0)).tolist():
+            numerator = (int(high[n]) << _LOW_BITS) + int(low[n])
+            exponent = least + n - _MANTISSA_BITS
+            self._numerators[1 << max(0, -exponent)] += numerator << max(0, exponent)
+
     def value(self) -> int | float | None:
         if not self._count:
             return None
@@ -84,6 +127,15 @@ class _Sum(Count):
             return float(exact / self._count if self._mean else exact)
         except OverflowError:
             return math.inf if exact > 0 else -math.inf
+
+
+def _sum_of_integers(values: NumberColumn) -> int:
+    """Return the exact sum of integers or bools."""
+    if values.dtype.itemsize < 8:
+        return int(values.sum(dtype=np.int64))
+    halves = values >> 32, values & 0xFFFFFFFF
+    high, low = (int(half.sum()) for half in halves)
+    return (high << 32) + low
 
 
 TOTALS: dict[str, Callable[[], Count]] = {

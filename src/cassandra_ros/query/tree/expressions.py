@@ -227,12 +227,12 @@ def _number(compute: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         try:
             return compute(x, y)
         except OverflowError:
-            return compute(_float(x), _float(y))
+            return compute(to_float(x), to_float(y))
 
     return value
 
 
-def _float(value: Any) -> float:
+def to_float(value: Any) -> float:
     """Return a number as a float; an integer beyond all floats is infinite."""
     try:
         return float(value)
@@ -250,7 +250,7 @@ def _divide(x: Any, y: Any) -> float:
     except OverflowError:
         if isinstance(x, int) and isinstance(y, int):
             return math.inf if (x > 0) == (y > 0) else -math.inf
-        return _float(x) / _float(y)
+        return to_float(x) / to_float(y)
 
 
 def _root(x: Any) -> float:
@@ -259,7 +259,7 @@ def _root(x: Any) -> float:
     try:
         return math.sqrt(x)
     except OverflowError:
-        return _float(math.isqrt(x))
+        return to_float(math.isqrt(x))
 
 
 def _multiply(x: Any, y: Any) -> Any:

@@ -17,7 +17,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.grammar import grammar
 from cassandra_ros.query.tree.parse import MAX_STATEMENT
-from cassandra_ros.query.tree.syntax import StatementError
+from cassandra_ros.query.tree.syntax import QUANTIFIERS, StatementError
 
 MAX_OFFERS = 200
 """Usual maximum number of offers."""
@@ -58,7 +58,6 @@ _KEYWORDS = {
 """Keywords as they are offered, by token; those of statements that change the store are left
 out."""
 _FUNCTIONS = ("avg", "count", "len", "max", "min", "sum", "abs", "sqrt", "time", "now")
-_QUANTIFIERS = ("any", "all")
 
 
 class Offer(NamedTuple):
@@ -178,7 +177,7 @@ def _offers(
     if "NAME" in accepted and "_ON" not in accepted and not _new_name_follows(previous):
         offers += _fields(text, source)
     if "FUNCTION" in accepted:
-        functions = _FUNCTIONS + (_QUANTIFIERS if _is_in_where(previous) else ())
+        functions = _FUNCTIONS + (QUANTIFIERS if _is_in_where(previous) else ())
         offers += [Offer(f"{name}(", "function") for name in functions]
     if "STAR" in accepted and previous and previous[-1].type != "_SELECT":
         accepted = accepted - {"STAR"}  # here it means multiplication

@@ -250,6 +250,11 @@ class Compare:
     operator: str
     value: Literal
 
+    @property
+    def text(self) -> str:
+        """Comparison as in a statement."""
+        return f"{self.operand.text} {self.operator} {self.value.text}"
+
 
 @dataclass(frozen=True)
 class Relate:
@@ -300,12 +305,24 @@ class OneOf:
     whole: bool = False
     """Whether the only value is a parameter that is not bound yet, and is the list itself."""
 
+    @property
+    def text(self) -> str:
+        """Comparison as in a statement, of a long list only the first five values."""
+        values = [value.text for value in self.values[:5]]
+        more = ", …" if len(self.values) > 5 else ""
+        return f"{self.operand.text} IN ({', '.join(values)}{more})"
+
 
 @dataclass(frozen=True)
 class IsNull:
     """``operand IS NULL``."""
 
     operand: Term
+
+    @property
+    def text(self) -> str:
+        """Condition as in a statement."""
+        return f"{self.operand.text} IS NULL"
 
 
 @dataclass(frozen=True)
@@ -345,6 +362,11 @@ class All:
 
     items: tuple[Expression, ...]
 
+    @property
+    def text(self) -> str:
+        """Condition as in a statement, in parentheses."""
+        return f"({' AND '.join(item.text for item in self.items)})"
+
 
 @dataclass(frozen=True)
 class Either:
@@ -352,12 +374,22 @@ class Either:
 
     items: tuple[Expression, ...]
 
+    @property
+    def text(self) -> str:
+        """Condition as in a statement, in parentheses."""
+        return f"({' OR '.join(item.text for item in self.items)})"
+
 
 @dataclass(frozen=True)
 class Negation:
     """A negated condition."""
 
     item: Expression
+
+    @property
+    def text(self) -> str:
+        """Condition as in a statement."""
+        return f"NOT {self.item.text}"
 
 
 Comparison = Union[Compare, OneOf, IsNull, Relate, Quantified]

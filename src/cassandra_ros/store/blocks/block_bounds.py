@@ -7,9 +7,10 @@ from __future__ import annotations
 from typing import Iterator, NamedTuple, Sequence
 
 from cassandra_ros.store.blocks.block_row import HEADER_COLUMNS, BlockRow, read_block
-from cassandra_ros.store.blocks.block_stream import BucketRead
+from cassandra_ros.store.blocks.block_stream import BucketRead, as_portions
 from cassandra_ros.store.connection.cql_names import quote_name
 from cassandra_ros.store.connection.requests import PagedRead, RawRow
+from cassandra_ros.store.tables.row_table import TableRow
 from cassandra_ros.store.tables.table_layout import Portion
 
 PAGE_BLOCKS = 5000
@@ -48,13 +49,8 @@ def read_bounds(bucket: BucketRead, request: PagedRead) -> Iterator[BlockZones]:
             yield BlockZones(header, values[_WIDTH:])
 
 
-def open_blocks(bucket: BucketRead, headers: Sequence[BlockRow]) -> Iterator[Portion]:
-    """Fetch and unpack blocks of a bucket with known headers.
-
-    Blocks without messages to read, because they were deleted meanwhile, are left out.
-    """
+def open_blocks(bucket: BucketRead, headers: Sequence[BlockRow]) -> Iterator[TableRow | Portion]:
+    """Fetch the messages of blocks of a bucket with known headers."""
     for n in range(0, len(headers), BOUNDS_BLOCKS_AT_ONCE):
-        for row in bucket.blocks(bucket.fetch(headers[n : n + BOUNDS_BLOCKS_AT_ONCE]).page()):
-            opened = bucket.open(row)
-            if opened.left:
-                yield bucket.portion(opened)
+        page = bucket.fetch(headers[n : n + BOUNDS_BLOCKS_AT_ONCE]).page()
+        yield from as_portions(bucket, bucket.blocks(page))

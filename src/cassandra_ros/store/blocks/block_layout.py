@@ -10,17 +10,17 @@ from typing import Iterator, Sequence
 from cassandra.query import PreparedStatement
 
 from cassandra_ros.keys import Position
-from cassandra_ros.read import Chooser, Read, Writers
+from cassandra_ros.read import Read, Writers
 from cassandra_ros.store.blocks.block_counts import count_part, recount
 from cassandra_ros.store.blocks.block_lookup import MessageFinder, answer_one, ask_one
 from cassandra_ros.store.blocks.block_stream import (
     EARLY_BLOCKS,
     BucketRead,
-    OpenedBlock,
-    opened,
+    block_portions,
     stream,
 )
 from cassandra_ros.store.tables.directory import BucketTotals
+from cassandra_ros.store.tables.held_portions import rows_in_order
 from cassandra_ros.store.tables.row_table import (
     FIRST,
     LAST,
@@ -37,6 +37,7 @@ from cassandra_ros.store.tables.table_layout import (
     Queries,
     Side,
     TableLayout,
+    count_for_chooser,
     ends_of,
 )
 
@@ -56,22 +57,18 @@ class BlockLayout(TableLayout):
         insert = self._table.insert_block()
         return insert, insert
 
-    def open(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+    def open(
+        self, plan: BucketPlan, read: Read, queries: Queries, *, together: bool = False
+    ) -> Iterator[TableRow | Portion]:
         """Request the first blocks of a bucket; return all of its messages in order."""
         columns = None if read.columns is None else read.columns(self._table)
         bare = columns is not None and not columns  # the caller needs no field
-        rows = stream(self._bucket(plan, read, queries, bare=bare))
+        bucket = self._bucket(plan, read, queries, bare=bare)
+        few = bucket.reverse or bucket.wanted
+        messages = stream(bucket) if few else block_portions(bucket)
         if read.chooser is None or queries is None:
-            return rows
-        return _learn_rows(plan, read.chooser, rows)
-
-    def portions(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
-        """Request the first blocks of a bucket; return the messages of one after the other."""
-        bucket = self._bucket(plan, read, queries)
-        blocks = opened(bucket)
-        if read.chooser is not None and queries is not None:
-            blocks = _learn_blocks(plan, read.chooser, blocks)
-        return map(bucket.portion, blocks)
+            return messages
+        return count_for_chooser(plan, read.chooser, messages)
 
     def _bucket(
         self, plan: BucketPlan, read: Read, queries: Queries, *, bare: bool = False
@@ -117,7 +114,8 @@ class BlockLayout(TableLayout):
     def keys(self, node: str, bucket: int, low: int, high: int) -> Iterator[MessageKey]:
         """Read the keys of the messages in [low, high], ns; blocks with one are unpacked."""
         ends = (low, MIN_SEQ), (high, MAX_SEQ)
-        for row in stream(BucketRead(self._table, node, bucket, ends, bare=True)):
+        blocks = BucketRead(self._table, node, bucket, ends, bare=True)
+        for row in rows_in_order(block_portions(blocks)):
             yield MessageKey(row.t, row.seq, row.size, row.nchunks > 0, row.odd)
 
     def count(self, node: str, bucket: int, ends: tuple[int, int], writers: Writers = None) -> int:
@@ -127,26 +125,6 @@ class BlockLayout(TableLayout):
     def recount(self, node: str, bucket: int) -> dict[int, BucketTotals]:
         """Count the messages of a bucket by writer id, by the headers of its blocks."""
         return recount(self._table, node, bucket)
-
-
-def _learn_blocks(
-    plan: BucketPlan, chooser: Chooser, blocks: Iterator[OpenedBlock]
-) -> Iterator[OpenedBlock]:
-    """Yield the blocks of a bucket; if all are taken, tell the chooser the number of messages."""
-    count = 0
-    for block in blocks:
-        count += block.left  # before the caller takes them out
-        yield block
-    chooser.learn(plan.table, plan.rows, count)
-
-
-def _learn_rows(plan: BucketPlan, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
-    """Yield the rows of a bucket; if all are taken, tell the chooser how many there were."""
-    count = 0
-    for row in rows:
-        count += 1
-        yield row
-    chooser.learn(plan.table, plan.rows, count)
 
 
 def _lowest_first(messages: Iterator[TableRow]) -> Sequence[TableRow]:

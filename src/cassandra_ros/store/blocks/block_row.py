@@ -190,12 +190,16 @@ class Block:
 
     def between(self, low: Order, high: Order) -> Longs:
         """Return the positions with keys from low to high, both included, but no deleted ones."""
-        first, last = self._first_from(low), self._first_from((high[0], high[1] + 1))
+        first, last = self._first_from(low), self.first_after(high)
         if not len(self.row.gone):
             return np.arange(first, last)
         stays = np.ones(len(self), bool)
         stays[self.row.gone] = False
         return np.flatnonzero(stays[first:last]) + first
+
+    def first_after(self, order: Order) -> int:
+        """Return the position of the first message with a later key than this."""
+        return self._first_from((order[0], order[1] + 1))
 
     def _first_from(self, order: Order) -> int:
         """Return the position of the first message with this key or a later one."""

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A read of one bucket of blocks: its messages, in order from either end.
 
-``BucketRead`` says what is read. Blocks of several writers and connections overlap. So a message is
-yielded as soon as no block that is still to be read can hold an earlier one (``WaitingRows``).
-Whole buckets are read by pages of blocks. A read of few messages or of few blocks, or one in
-descending order, first reads the headers and then the blocks in the order in which it needs them
-(``BlockQueue``).
+``BucketRead`` says what is read. Blocks of several writers and connections overlap. A whole bucket
+is read block by block (``block_portions``); a block is unpacked when its messages are needed. A
+read of few messages, or one in descending order, first reads headers and then the blocks in the
+order in which it needs them (``BlockQueue``). A message is yielded as soon as no block that is
+still to be read can hold an earlier one (``WaitingRows``).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import heapq
 import logging
 from bisect import bisect_left
 from dataclasses import dataclass
+from itertools import chain
 from typing import Callable, Iterable, Iterator, Sequence, Union
 
 import numpy as np
@@ -44,7 +45,7 @@ from cassandra_ros.store.tables.row_table import (
     TableRow,
     encode_long,
 )
-from cassandra_ros.store.tables.table_layout import Portion
+from cassandra_ros.store.tables.table_layout import Portion, StackedMessages
 
 _log = logging.getLogger(__name__)
 
@@ -170,24 +171,6 @@ class BucketRead:
             return [stand_in(self.table, self.node, opened.row)] * len(opened.places)
         return opened.block.rows(opened.places, bare=self.bare) if opened.left else []
 
-    def portion(self, opened: OpenedBlock) -> Portion:
-        """Return the remaining messages of a block; those that it does not hold itself as rows."""
-        block, places = opened.block, opened.places
-        if block is None or block.unpacked is None:
-            return Portion(self.table, self.node, self.rows(opened))
-        chosen = np.zeros(len(block), np.bool_)
-        chosen[places] = True
-        return Portion(
-            self.table,
-            self.node,
-            rows=(),
-            times=block.times[places],
-            seqs=block.seqs[places],
-            groups=[(group.members, group.stored, group.rises) for group in block.unpacked.groups],
-            chosen=chosen,
-            unsure=None if opened.unsure is None else opened.unsure[places],
-        )
-
 
 class OpenedBlock:
     """The messages of a block that are to be read, or of a damaged block.
@@ -226,6 +209,16 @@ class OpenedBlock:
     def last(self) -> int:
         """Key time of the last remaining message, ns."""
         return self.row.t if self.block is None else int(self.block.times[self.places[-1]])
+
+    def split_until(self, last: Order) -> OpenedBlock:
+        """Remove and return the messages up to a key, included.
+
+        Of a damaged block it is the row that stands for it.
+        """
+        if self.block is None:
+            return self.split_off(self.left, reverse=False)
+        place = self.block.first_after(last)
+        return self.split_off(int(self.places.searchsorted(place)), reverse=False)
 
     def split_off(self, count: int, *, reverse: bool) -> OpenedBlock:
         """Remove and return at most ``count`` messages from the beginning or (reverse) the end."""
@@ -496,21 +489,22 @@ class BlockQueue:
             bytes_left -= item.size
         return items
 
-    def bound_up(self, coming: _Batch | None) -> Order | None:
+    def bound_up(self) -> Order | None:
         """Return a key before which no further message comes, ascending; None = no message comes.
 
-        Args:
-            coming: The batch that was requested and not read yet.
+        The last batch must have been read.
         """
-        if coming is not None:
-            return coming.taken[0].key
         ends = [self._pending[0][0]] if self._pending else []
         if self._headers.more and self._headers.last is not None:
             ends.append(self._headers.last)
         return min(ends, default=None)
 
     def bound_down(self, coming: _Batch | None) -> int:
-        """Return a time after which no further message comes, descending; see bound_up."""
+        """Return a time after which no further message comes, descending.
+
+        Args:
+            coming: The batch that was requested and not read yet.
+        """
         end = self._pending_end(coming)
         return max(end, self._unread_end) if self._headers.more else end
 
@@ -530,16 +524,15 @@ class BlockQueue:
 
 
 def upwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
-    """Yield the rows of a bucket in the order (t, seq)."""
+    """Yield the first rows of a bucket, of which few are wanted, in the order (t, seq)."""
     buffer, coming = WaitingRows(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):
             buffer.add(rows)
-        # A read of few messages gets the rows at hand before more blocks are requested.
-        coming = None if bucket.wanted else needed.batch()
-        bound = needed.bound_up(coming)
+        # The rows at hand come before more blocks are requested.
+        bound = needed.bound_up()
         yield from buffer.rest() if bound is None else buffer.until(bound, bucket.node)
-        coming = coming or needed.batch()
+        coming = needed.batch()
     yield from buffer.rest()
 
 
@@ -549,7 +542,7 @@ def downwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     while coming is not None:
         for rows in needed.rows(coming):
             buffer.add(rows)
-        # As in upwards.
+        # A read of few messages gets the rows at hand before more blocks are requested.
         coming = None if bucket.wanted else needed.batch()
         sure_rows = buffer.beyond(needed.bound_down(coming))
         while buffer and not sure_rows and needed.look(coming):
@@ -559,58 +552,50 @@ def downwards(bucket: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     yield from reversed(buffer.rest())
 
 
-LONE_BLOCK_ROWS_AT_ONCE = 200
-"""Maximum number of rows that are made at once of a block that overlaps no other."""
+BLOCK_ROWS_AT_ONCE = 200
+"""Maximum number of rows that are made at once of a block."""
 
 
 def stream(bucket: BucketRead) -> Iterator[TableRow]:
-    """Yield the rows of a bucket in the order (t, seq), or newest first.
+    """Yield the rows of a bucket in the order (t, seq) if few are wanted, or newest first.
 
     Sends the request at once.
     """
-    if bucket.filters is None and not bucket.reverse and not bucket.wanted:
-        return _whole(bucket, _Pages(bucket))
     needed = BlockQueue(bucket, Headers(bucket))
     return downwards(bucket, needed) if bucket.reverse else upwards(bucket, needed)
 
 
-def opened(bucket: BucketRead) -> Iterator[OpenedBlock]:
-    """Yield the blocks of a bucket in the order of their keys; sends the request at once."""
-    if bucket.filters is not None:
-        return _open_by_headers(bucket, Headers(bucket))
-    return _open_pages(bucket, _Pages(bucket))
+def block_portions(bucket: BucketRead) -> Iterator[TableRow | Portion]:
+    """Yield all messages of a bucket, its blocks in the order of their first messages.
+
+    The blocks of several writers overlap. Sends the request at once.
+    """
+    if bucket.filters is None:
+        return as_portions(bucket, chain.from_iterable(_Pages(bucket)))
+    return as_portions(bucket, _blocks_by_headers(bucket, Headers(bucket)))
 
 
-def _open_by_headers(bucket: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
+def as_portions(bucket: BucketRead, blocks: Iterable[BlockRow]) -> Iterator[TableRow | Portion]:
+    """Yield the messages of blocks; a message whose bytes are in chunks is a row."""
+    for block in blocks:
+        if block.nchunks:
+            yield from bucket.rows(bucket.open(block))
+        else:
+            yield BlockPortion(bucket, block)
+
+
+def _blocks_by_headers(bucket: BucketRead, headers: Headers) -> Iterator[BlockRow]:
     """Yield the blocks of headers, fetched by their keys; some are requested ahead."""
     count = max(1, min(KEYED_BLOCKS_AT_ONCE, bucket.page_bytes // BLOCK_BYTES))
     request: PagedRead | None = None
-    while headers.more:
-        rows = headers.read()
-        for begin in range(0, len(rows), count):
-            next_request = bucket.fetch(rows[begin : begin + count])
+    while headers.more or request is not None:
+        rows = headers.read() if headers.more else []
+        for begin in range(0, max(1, len(rows)), count):
+            asked = rows[begin : begin + count]
+            next_request = bucket.fetch(asked) if asked else None
             if request is not None:
-                yield from _open_answer(bucket, request)
+                yield from bucket.blocks(request.page())
             request = next_request
-    if request is not None:
-        yield from _open_answer(bucket, request)
-
-
-def _open_answer(bucket: BucketRead, request: PagedRead) -> Iterator[OpenedBlock]:
-    """Yield the requested blocks that have messages to read, unpacked."""
-    for block in bucket.blocks(request.page()):
-        open_block = bucket.open(block)
-        if open_block.left:
-            yield open_block
-
-
-def _open_pages(bucket: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:
-    """Yield the blocks of pages that have messages to read, unpacked."""
-    for blocks, _ in pages:
-        for block in blocks:
-            open_block = bucket.open(block)
-            if open_block.left:
-                yield open_block
 
 
 class _Pages:
@@ -621,43 +606,89 @@ class _Pages:
         self._count = max(1, bucket.page_bytes // BLOCK_BYTES)
         self._asked: PagedRead | None = bucket.ask(WHOLE_BLOCK_COLUMNS, self._count)
 
-    def __iter__(self) -> Iterator[tuple[list[BlockRow], Order | None]]:
-        """Yield the blocks of each page, and a key after which all blocks of later pages begin.
-
-        This is None with the last page. The blocks must be unpacked before the next page is taken.
-        """
+    def __iter__(self) -> Iterator[list[BlockRow]]:
+        """Yield the blocks of each page."""
         while self._asked is not None:
             request = self._asked
             page: Sequence[RawRow] = next((p for p in request.pages(ahead=False) if p), ())
             # Their bytes need not be copied, as they are unpacked soon.
             blocks = self._bucket.blocks(page.views() if isinstance(page, RawPage) else page)
             self._asked = None
-            if not page or not request.more:
-                yield blocks, None
-                return
-            if blocks:
-                mean = sum(block.size for block in blocks) // len(blocks) + 1
-                most = min(STREAM_PAGE_BLOCKS, GROWTH * self._count)
-                self._count = max(1, min(most, self._bucket.page_bytes // mean))
-            self._asked = self._bucket.ask(WHOLE_BLOCK_COLUMNS, self._count, page[-1])
-            yield blocks, key_of(page[-1])
+            if page and request.more:
+                if blocks:
+                    mean = sum(block.size for block in blocks) // len(blocks) + 1
+                    most = min(STREAM_PAGE_BLOCKS, GROWTH * self._count)
+                    self._count = max(1, min(most, self._bucket.page_bytes // mean))
+                self._asked = self._bucket.ask(WHOLE_BLOCK_COLUMNS, self._count, page[-1])
+            yield blocks
 
 
-def _whole(bucket: BucketRead, pages: _Pages) -> Iterator[TableRow]:
-    """Yield the rows of all blocks of a bucket in the order (t, seq)."""
-    buffer = WaitingRows()
-    for blocks, behind in pages:
-        keys: list[Order | None] = [*(block.key for block in blocks[1:]), behind]
-        for block, bound in zip(blocks, keys):
-            opened = bucket.open(block)
-            if not buffer and opened.left and (bound is None or opened.last < bound[0]):
-                # The block overlaps no other. Its rows are made in small groups, because Python's
-                # collector walks through all rows that exist at the same time.
-                while opened.left:
-                    yield from bucket.rows(opened.split_off(LONE_BLOCK_ROWS_AT_ONCE, reverse=False))
-                continue
-            buffer.add(bucket.rows(opened))
-            yield from buffer.rest() if bound is None else buffer.until(bound, bucket.node)
-        if behind is None:
-            break
-    yield from buffer.rest()
+class BlockPortion(Portion):
+    """The messages to read of a block with bytes, or some of them. It is unpacked when needed.
+
+    Args:
+        bucket: What is read.
+        row: The block.
+        opened: Its messages; None = it is not unpacked yet.
+        ends: Keys of the first and the last of them; None = those that the row and the read tell.
+    """
+
+    def __init__(
+        self,
+        bucket: BucketRead,
+        row: BlockRow,
+        opened: OpenedBlock | None = None,
+        ends: tuple[Order, Order] | None = None,
+    ) -> None:
+        self.table, self.node = bucket.table, bucket.node
+        low, high = bucket.ends
+        first = max(row.key, low)
+        # The end that a damaged row tells may be any number.
+        self.ends = ends or (first, max(first, min((row.last, MAX_SEQ), high)))
+        self.most = row.left if opened is None else opened.left
+        self.nbytes = row.size * self.most // row.messages
+        self._bucket, self._row, self._block = bucket, row, opened
+
+    @property
+    def _opened(self) -> OpenedBlock:
+        if self._block is None:
+            self._block = self._bucket.open(self._row)
+        return self._block
+
+    def __len__(self) -> int:
+        return self._opened.left
+
+    def _cut(self, last: Order) -> tuple[Portion, Portion]:
+        """Return the messages up to a key, included, and the others."""
+        rest, (first, end) = self._opened, self.ends
+        head = rest.split_until(last)
+        after = last[0], last[1] + 1
+        return (
+            BlockPortion(self._bucket, self._row, head, (first, last)),
+            BlockPortion(self._bucket, self._row, rest, (after, end)),
+        )
+
+    def rows(self) -> Iterable[TableRow]:
+        """Return the messages as rows, in order; a row stands for a damaged block."""
+        # In small groups, because Python's collector walks through all rows that exist at the same
+        # time.
+        while self._opened.left:
+            head = self._opened.split_off(BLOCK_ROWS_AT_ONCE, reverse=False)
+            yield from self._bucket.rows(head)
+
+    def stacked(self) -> StackedMessages | None:
+        """Return the bytes of the messages; None = the block is damaged."""
+        block, places, unsure = self._opened.block, self._opened.places, self._opened.unsure
+        if block is None or block.unpacked is None:
+            return None
+        chosen = np.zeros(len(block), np.bool_)
+        chosen[places] = True
+        return StackedMessages(
+            self.table,
+            self.node,
+            times=block.times[places],
+            seqs=block.seqs[places],
+            groups=[(group.members, group.stored, group.rises) for group in block.unpacked.groups],
+            chosen=chosen,
+            unsure=None if unsure is None else unsure[places],
+        )

@@ -35,6 +35,7 @@ from cassandra_ros.store.tables.table_layout import (
     Queries,
     Side,
     TableLayout,
+    count_for_chooser,
 )
 
 COUNT_PAGE_ROWS = 5000
@@ -61,19 +62,27 @@ class RowLayout(TableLayout):
         """Return the INSERT that most rows need, without the columns of chunks, and the whole."""
         return self._table.insert(shadows, full=False), self._table.insert(shadows)
 
-    def open(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+    def open(
+        self, plan: BucketPlan, read: Read, queries: Queries, *, together: bool = False
+    ) -> Iterator[TableRow | Portion]:
         """Request the first rows of a bucket; return all of them in order."""
-        if queries is None:
-            return RowStream(plan, read, _EVERY_ROW).rows()
         # The queries of a bucket share the memory of one.
-        share = plan._replace(page_rows=max(1, plan.page_rows // max(1, len(queries))))
-        return merged(plan, read, [RowStream(share, read, query) for query in queries])
-
-    def portions(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
-        """Request the first rows of a bucket; return them page by page, filtered ones together."""
-        if queries is None:
-            return RowStream(plan, read, _EVERY_ROW).portions()
-        return iter((Portion(plan.table, plan.node, self.open(plan, read, queries)),))
+        share = plan._replace(page_rows=max(1, plan.page_rows // max(1, len(queries or ()))))
+        streams = [
+            RowStream(share, read, query, together=together)
+            for query in ((_EVERY_ROW,) if queries is None else queries)
+        ]
+        messages: Iterator[TableRow | Portion]
+        if len(streams) != 1:
+            messages = merged(read, streams)
+        else:  # one query returns no duplicates, and rows in order
+            few = read.reverse or plan.first_rows
+            messages = streams[0].rows() if few else streams[0].messages()
+        if read.chooser is None or queries is None:
+            return messages
+        return count_for_chooser(
+            plan, read.chooser, messages, lambda: any(stream.refused for stream in streams)
+        )
 
     def finder(self) -> Finder:
         """Return what requests a row by its position."""

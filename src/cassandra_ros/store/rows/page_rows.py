@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import struct
 from itertools import repeat
-from typing import Any, Iterable, Mapping, NamedTuple, Sequence
+from typing import Any, Iterable, Iterator, Mapping, NamedTuple, Sequence, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.store.blocks.codec import members_by_size
 from cassandra_ros.store.connection.protocol import Offsets, RawPage
-from cassandra_ros.store.tables.row_table import RowTable, TableRow
-from cassandra_ros.store.tables.table_layout import Portion, StoredPlanes
+from cassandra_ros.store.tables.row_table import Order, RowTable, TableRow
+from cassandra_ros.store.tables.table_layout import Portion, StackedMessages, StoredPlanes
 
 MIN_BYTES = 4096
 """Minimum size of an answer, bytes. The rows of a smaller one are read faster one by one."""
@@ -62,60 +62,70 @@ class _Heads(NamedTuple):
     """Whether all sizes are as in _MARKS."""
     values: NDArray[Any]
     """Records of _HEAD or _RECEIVED; of rows that do not fit they are of no use."""
-    received: Iterable[int]
-    """Receive time of each message, ns; -1 = it equals ``_t``."""
+    received: Sequence[int] | None
+    """Receive time of each message, ns; None = it equals ``_t``."""
 
 
-class PageRows:
-    """The rows of a page, whose messages were made together where that was possible."""
+class PageRows(Portion):
+    """Consecutive rows of a page whose messages were made together.
+
+    Args:
+        table, node: Table and robot.
+        heads: The heads of all rows of the page.
+        wires: The messages of all rows of the page; those of these rows are not None.
+        between: Numbers of these rows.
+    """
 
     def __init__(
-        self,
-        table: RowTable,
-        node: str,
-        heads: _Heads,
-        wires: Sequence[bytes | None],
-        others: Mapping[int, TableRow],
+        self, table: RowTable, node: str, heads: _Heads, wires: Sequence[bytes], between: slice
     ) -> None:
-        self._table, self._node, self._heads = table, node, heads
-        self._wires = wires
-        """The messages; None = the row was read by itself."""
-        self._others = others
-        """Rows that were read by themselves, by their number; without those that expired."""
+        self.table, self.node = table, node
+        self._heads, self._wires, self._between = heads, wires, between
+        self._values = values = heads.values[between]
+        times, seqs = values["t"], values["seq"]
+        self.ends = (int(times[0]), int(seqs[0])), (int(times[-1]), int(seqs[-1]))
+        self.most, self.nbytes = len(values), int(values["size"].sum())
+
+    def __len__(self) -> int:
+        return self.most
+
+    def _cut(self, last: Order) -> tuple[Portion, Portion]:
+        """Return the messages up to a key, included, and the others."""
+        times, seqs, between = self._values["t"], self._values["seq"], self._between
+        head = (times < last[0]) | ((times == last[0]) & (seqs <= last[1]))
+        cut = between.start + int(head.sum())
+        parts = slice(between.start, cut), slice(cut, between.stop)
+        before, after = (
+            PageRows(self.table, self.node, self._heads, self._wires, part) for part in parts
+        )
+        return before, after
 
     def rows(self) -> Iterable[TableRow]:
         """Return the rows in their order; a row has its message in place of the columns."""
-        values, wires = self._heads.values, self._wires
+        values, wires = self._values, self._wires[self._between]
         t, seq, conn, sizes = (values[name].tolist() for name in ("t", "seq", "conn", "size"))
+        received = self._heads.received
+        arrivals: Iterable[int] = repeat(-1) if received is None else received[self._between]
         fixed = repeat(0), repeat(0), repeat(False), wires, repeat(()), repeat("")
-        head = t, repeat(self._node), seq, repeat(self._table.name), conn, sizes
+        head = t, repeat(self.node), seq, repeat(self.table.name), conn, sizes
         # The fields of a TableRow in their order.
-        fields = zip(*head, *fixed, self._heads.received, repeat(None), repeat(0))
-        rows = map(tuple.__new__, repeat(TableRow), fields)
-        if None not in wires:
-            return rows
-        all_rows = (
-            self._others.get(n) if wire is None else row
-            for n, (row, wire) in enumerate(zip(rows, wires))
-        )
-        return filter(None, all_rows)
+        fields = zip(*head, *fixed, arrivals, repeat(None), repeat(0))
+        return map(tuple.__new__, repeat(TableRow), fields)
 
-    def portion(self) -> Portion:
-        """Return the rows as messages that lie together, and those that were read singly."""
-        values = self._heads.values
-        times, seqs = values["t"].astype(np.int64), values["seq"].astype(np.int64)
-        if None in self._wires:
-            made = np.array([wire is not None for wire in self._wires], bool)
-            times, seqs = times[made], seqs[made]
-        groups = _planes([wire for wire in self._wires if wire is not None])
-        return Portion(self._table, self._node, self._others.values(), times, seqs, groups)
+    def stacked(self) -> StackedMessages | None:
+        """Return the bytes of the messages."""
+        times, seqs = (self._values[name].astype(np.int64) for name in ("t", "seq"))
+        groups = _planes(self._wires[self._between])
+        return StackedMessages(self.table, self.node, times, seqs, groups)
 
 
-def rows_of_page(table: RowTable, node: str, page: RawPage) -> PageRows | None:
+def rows_of_page(table: RowTable, node: str, page: RawPage) -> Sequence[TableRow | PageRows] | None:
     """Read a page of listings of all columns of a table with a time key.
 
     Returns:
-        The rows; None = the page has to be read row by row, by row_from_values.
+        The rows in their order, without those that expired; a row is read by itself if its message
+        cannot be made together with others. None = the page has to be read row by row, by
+        row_from_values.
     """
     small = len(page.body) < MIN_BYTES
     heads = None if small else _read_heads(page, bool(table.metadata.received_columns))
@@ -137,7 +147,32 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> PageRows | None:
                 others[n] = table.row_from_values(node, values)
         except CorruptMessage:
             return None  # the error is raised when the row is read by itself
-    return PageRows(table, node, heads, wires, others)
+    return list(_pieces(table, node, heads, wires, others))
+
+
+def _pieces(
+    table: RowTable,
+    node: str,
+    heads: _Heads,
+    wires: Sequence[bytes | None],
+    others: Mapping[int, TableRow],
+) -> Iterator[TableRow | PageRows]:
+    """Yield the rows of a page in their order.
+
+    Args:
+        table, node: Table and robot.
+        heads: The heads of all rows.
+        wires: Their messages; None = the row was read by itself.
+        others: The rows that were read by themselves, by their number, without expired ones.
+    """
+    made = cast(Sequence[bytes], wires)
+    begin = 0
+    for n in [*(n for n, wire in enumerate(wires) if wire is None), len(wires)]:
+        if n > begin:
+            yield PageRows(table, node, heads, made, slice(begin, n))
+        if n in others:
+            yield others[n]
+        begin = n + 1
 
 
 def _checked(
@@ -176,5 +211,5 @@ def _read_heads(page: RawPage, with_received: bool) -> _Heads | None:
     for name, mark in _MARKS.items():
         if name in (head.names or ()):
             fits &= values[name] == mark
-    received = values["received"].tolist() if with_received else repeat(-1)
+    received = values["received"].tolist() if with_received else None
     return _Heads(starts, starts + head.itemsize, ends, fits, values, received)

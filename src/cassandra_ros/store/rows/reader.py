@@ -12,21 +12,20 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from typing import (
-    Callable,
     Collection,
-    Generic,
     Iterable,
     Iterator,
     Sequence,
     Tuple,
-    TypeVar,
+    Union,
 )
 
 from cassandra_ros.read import Read
 from cassandra_ros.store.connection.requests import GROWTH
 from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.directory import BucketRow, BucketWalk, Directory
-from cassandra_ros.store.tables.row_table import RowTable, TableRow
+from cassandra_ros.store.tables.held_portions import HeldPortions, place_of, rows_of
+from cassandra_ros.store.tables.row_table import MIN_SEQ, RowTable, TableRow
 from cassandra_ros.store.tables.table_layout import BucketPlan, Portion, Queries
 
 PAGE_BYTES = 2 * 1024 * 1024
@@ -51,7 +50,8 @@ _Order = Tuple[object, ...]
 """What rows are compared by, in the direction of reading."""
 _Request = Tuple[str, str, int, int, int, int]
 """Table, node, bucket, and the sizes of pages."""
-_T = TypeVar("_T")
+_Messages = Iterator[Union[TableRow, Portion]]
+"""The messages of a bucket, in the order of the read."""
 
 
 def _takes_few(read: Read) -> bool:
@@ -80,67 +80,105 @@ def _may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
     )
 
 
-def _open_rows(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
-    """Request the first messages of a bucket; return all of them in order."""
-    return layout_of(plan.table).open(plan, read, queries)
-
-
-def _open_portions(plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
-    """Request the first messages of a bucket; return all of them as they come together."""
-    return layout_of(plan.table).portions(plan, read, queries)
-
-
 def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:
     """Yield the rows of several tables in the order (t, node, seq, table), or its reverse.
 
     Memory: one or two pages for each table and node that has rows at the time.
     """
-    sign = -1 if read.reverse else 1
-    heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _BucketQueue(directory, tables, read, _open_rows)
-    count = 0
-    while heap or waiting.has_next:
-        while waiting.has_next and (not heap or waiting.opens_before(heap[0][2].t, sign)):
-            stream = waiting.next_rows()
-            first = next(stream, None)
-            if first is not None:
-                count += 1  # number of the stream: the heap never compares two rows
-                heapq.heappush(heap, (_order(first, sign), count, first, stream))
-        if not heap:
-            return
-        _, number, row, stream = heapq.heappop(heap)
-        # While one stream is before all others it does not need the heap.
-        yield row
-        if not heap and not waiting.has_next:
-            yield from stream
-            return
-        limit = heap[0][0] if heap else None
-        for row in stream:
-            late = limit is not None and _order(row, sign) > limit
-            if late or (waiting.has_next and waiting.opens_before(row.t, sign)):
-                heapq.heappush(heap, (_order(row, sign), number, row, stream))
-                break
-            yield row
+    for message in _Merge(_BucketQueue(directory, tables, read), read).messages():
+        if isinstance(message, TableRow):
+            yield message
+        else:
+            yield from rows_of(message)
 
 
 def read_portions(
     directory: Directory, tables: Sequence[RowTable], read: Read
-) -> Iterator[Portion]:
-    """Yield the messages of several tables as they come together, bucket by bucket.
+) -> Iterator[TableRow | Sequence[Portion]]:
+    """Yield the messages of several tables in the same order: rows, and portions together.
 
-    Within a bucket they are in any order. Blocks are read whole, whatever the columns of the read.
-    Of a read with a chooser come the messages that it does not leave out.
+    The messages of portions that come together may lie between each other; no other message does.
     """
-    waiting = _BucketQueue(directory, tables, read, _open_portions)
-    while waiting.has_next:
-        yield from waiting.next_rows()
+    return _Merge(_BucketQueue(directory, tables, read, together=True), read).messages()
 
 
-def _order(row: TableRow, sign: int) -> _Order:
-    """Return what rows are compared by; sign: 1 = ascending, -1 = descending."""
-    if sign > 0:
-        return row[:4]
-    return (-row.t, _invert(row.node), -row.seq, _invert(row.table))
+class _Merge:
+    """Merges the messages of buckets.
+
+    Args:
+        waiting: The buckets.
+        read: What is read.
+    """
+
+    def __init__(self, waiting: _BucketQueue, read: Read) -> None:
+        self._waiting = waiting
+        self._sign = -1 if read.reverse else 1
+        self._count = 0
+        self._heap: list[tuple[_Order, int, TableRow | Portion, _Messages]] = []
+        """The next message of each open bucket, and the others; the number of the entry between
+        them, so that the heap never compares two messages."""
+
+    def _push(self, message: TableRow | Portion, stream: _Messages) -> None:
+        self._count += 1
+        heapq.heappush(self._heap, (_order(message, self._sign), self._count, message, stream))
+
+    def _push_next(self, stream: _Messages) -> None:
+        message = next(stream, None)
+        if message is not None:
+            self._push(message, stream)
+
+    def messages(self) -> Iterator[TableRow | Sequence[Portion]]:
+        """Yield rows, and portions together."""
+        heap, waiting, sign = self._heap, self._waiting, self._sign
+        held = HeldPortions()
+        while True:
+            is_due = waiting.has_next and (not heap or waiting.opens_before(heap[0][2].t, sign))
+            if held:
+                # All that comes next comes at this place or after it.
+                place = place_of(heap[0][2]) if heap else None
+                if is_due:
+                    place = waiting.start, "", MIN_SEQ, ""
+                is_row = bool(heap) and not is_due and isinstance(heap[0][2], TableRow)
+                if place is None or is_row or held.are_enough(place):
+                    portions = held.take(place)
+                    if portions:
+                        yield portions
+            if is_due:
+                self._push_next(waiting.next_messages())
+                continue
+            if not heap:
+                return
+            _, _, message, stream = heapq.heappop(heap)
+            if not isinstance(message, TableRow):
+                held.add(message)
+                self._push_next(stream)
+                continue
+            yield message
+            if held:
+                self._push_next(stream)
+                continue
+            # While one stream is before all others it does not need the heap.
+            limit = heap[0][0] if heap else None
+            for following in stream:
+                if isinstance(following, TableRow):
+                    late = limit is not None and _order(following, sign) > limit
+                    if not late and not (
+                        waiting.has_next and waiting.opens_before(following.t, sign)
+                    ):
+                        yield following
+                        continue
+                self._push(following, stream)
+                break
+
+
+def _order(message: TableRow | Portion, sign: int) -> _Order:
+    """Return what messages are compared by; sign: 1 = ascending, -1 = descending.
+
+    Portions are read ascending only, and have the place of their first message.
+    """
+    if sign > 0 or not isinstance(message, TableRow):
+        return place_of(message)
+    return (-message.t, _invert(message.node), -message.seq, _invert(message.table))
 
 
 def _invert(text: str) -> tuple[int, ...]:
@@ -244,7 +282,7 @@ def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
     return max(1, min(MAX_PAGE_ROWS, int(rows)))
 
 
-class _BucketQueue(Generic[_T]):
+class _BucketQueue:
     """The buckets that are still to be read; the next ones are requested ahead.
 
     Of whole buckets one is requested ahead. Of filtered buckets, which return few rows, many are
@@ -254,7 +292,8 @@ class _BucketQueue(Generic[_T]):
     taken.
 
     Args:
-        open_bucket: Requests the rows of a bucket by the chosen queries.
+        directory, tables, read: What is read.
+        together: Whether portions are preferred to rows that have only some columns.
 
     Attributes:
         has_next: Whether there are buckets to be read.
@@ -266,15 +305,16 @@ class _BucketQueue(Generic[_T]):
         directory: Directory,
         tables: Sequence[RowTable],
         read: Read,
-        open_bucket: Callable[[BucketPlan, Read, Queries], Iterator[_T]],
+        *,
+        together: bool = False,
     ) -> None:
         self._directory = directory
         self._read = read
-        self._open = open_bucket
+        self._together = together
         self._rows = max(1, read.wanted or 1)
         """Number of rows that are wanted of the next buckets, if few are."""
         self._few = _takes_few(read)
-        self._early: dict[_Request, Iterator[_T]] = {}
+        self._early: dict[_Request, _Messages] = {}
         """Buckets that were requested before the directory answered."""
         if self._few and (read.chooser is None or not read.chooser.checks):
             self._foresee(directory, tables)
@@ -282,7 +322,7 @@ class _BucketQueue(Generic[_T]):
         plans = [_plans(table, walk, read) for table, walk in walks]
         self._plans = heapq.merge(*plans, key=_begins, reverse=read.reverse)
         self._next = next(self._plans, None)
-        self._asked: deque[tuple[BucketPlan, Iterator[_T], bool]] = deque()
+        self._asked: deque[tuple[BucketPlan, _Messages, bool]] = deque()
         """Requested buckets, their rows, and whether the server filters them."""
         self._ahead = 0 if self._few else 1
         """Number of buckets that are requested in addition to the next one."""
@@ -309,7 +349,7 @@ class _BucketQueue(Generic[_T]):
         plans, streams = foresee(directory, tables, self._read)
         self._divide_among(streams)
         for plan in map(self._set_size, plans):
-            self._early[_request(plan)] = self._open(plan, self._read, None)
+            self._early[_request(plan)] = self._open(plan, None)
 
     def _update_next(self) -> None:
         """Set ``has_next`` and ``start`` by the next bucket."""
@@ -325,8 +365,12 @@ class _BucketQueue(Generic[_T]):
         """
         return (self.start - t) * sign <= 0
 
-    def next_rows(self) -> Iterator[_T]:
-        """Remove the next bucket from the queue, and return the iterator over its rows.
+    def _open(self, plan: BucketPlan, queries: Queries) -> _Messages:
+        """Request the first messages of a bucket by some queries; return all of them."""
+        return layout_of(plan.table).open(plan, self._read, queries, together=self._together)
+
+    def next_messages(self) -> _Messages:
+        """Remove the next bucket from the queue, and return the iterator over its messages.
 
         Before, this bucket and some that follow it are requested, if they are not yet. The caller
         has checked ``has_next``; it may read the iterator while it asks for further buckets.
@@ -381,5 +425,5 @@ class _BucketQueue(Generic[_T]):
         plan, chooser = self._set_size(plan), self._read.chooser
         queries = None if chooser is None else chooser.choose(plan.table, plan.rows)
         early = self._early.pop(_request(plan), None) if queries is None else None
-        rows = self._open(plan, self._read, queries) if early is None else early
+        rows = self._open(plan, queries) if early is None else early
         self._asked.append((plan, rows, queries is not None))

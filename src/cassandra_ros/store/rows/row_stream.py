@@ -10,6 +10,7 @@ from __future__ import annotations
 import heapq
 import logging
 from functools import partial
+from itertools import chain
 from typing import Iterable, Iterator, Sequence
 
 from cassandra.query import PreparedStatement
@@ -19,7 +20,7 @@ from cassandra_ros.read import Query, Read
 from cassandra_ros.store.connection.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.store.connection.protocol import RawPage
 from cassandra_ros.store.connection.requests import PagedRead, RawRow
-from cassandra_ros.store.rows.page_rows import PageRows, rows_of_page
+from cassandra_ros.store.rows.page_rows import rows_of_page
 from cassandra_ros.store.tables.row_table import (
     KEYS,
     Order,
@@ -45,18 +46,27 @@ TURNED_PAGES = 2
 class RowStream:
     """The rows of one bucket that match one query. The first request is sent when it is made.
 
+    Args:
+        plan, read: What is read.
+        query: What the server checks.
+        together: Whether the messages of pages come as portions, also if a condition is checked on
+            them.
+
     Attributes:
         refused: Whether the server refused the query, so that all rows are read.
     """
 
-    def __init__(self, plan: BucketPlan, read: Read, query: Query) -> None:
+    def __init__(
+        self, plan: BucketPlan, read: Read, query: Query, *, together: bool = False
+    ) -> None:
         self._plan = plan
         self._read = read
         columns = None if read.columns is None else read.columns(plan.table)
         self._columns = plan.table.columns if columns is None else columns
-        # Conditions are checked on columns, so then whole pages are not made into messages.
+        # The messages of a page are made together. They come as rows in descending order, and if a
+        # condition is checked on their columns.
         checked = read.chooser is not None and read.chooser.checks
-        self._together = columns is None and not checked
+        self._together = columns is None and (together or not checked)
         self._partition_key = plan.table.partition_key(plan.node, plan.bucket)
         self._terms, indexed = query
         # To filter a row the server needs fewer columns than to return it. If few rows pass, only
@@ -107,24 +117,23 @@ class RowStream:
 
     def rows(self) -> Iterator[TableRow]:
         """Yield the rows in the order of reading."""
-        for page in self._pages():
-            yield from page.rows() if isinstance(page, PageRows) else page
-
-    def portions(self) -> Iterator[Portion]:
-        """Yield the rows as they come together."""
-        table, node = self._plan.table, self._plan.node
-        for page in self._pages():
-            if isinstance(page, PageRows):
-                yield page.portion()
+        for message in self.messages():
+            if isinstance(message, TableRow):
+                yield message
             else:
-                yield Portion(table, node, page)
+                yield from message.rows()
 
-    def _pages(self) -> Iterator[PageRows | Iterable[TableRow]]:
+    def messages(self) -> Iterator[TableRow | Portion]:
+        """Yield the rows in the order of reading, those that were read together as portions."""
+        return chain.from_iterable(self._pages())
+
+    def _pages(self) -> Iterator[Iterable[TableRow | Portion]]:
         """Yield the rows page by page, in the order of reading."""
         if self._turned:
             rows = self._read_turned()
             if rows is not None:
-                yield sorted(rows, key=_bucket_order, reverse=True)
+                rows.sort(key=_bucket_order, reverse=True)
+                yield rows
                 return
             # All rows, from the newest on.
             self._asked = self._all("an index does not give its rows, or too many", None)
@@ -164,12 +173,12 @@ class RowStream:
             return None
         return rows
 
-    def _rows_of(self, values: Iterable[RawRow]) -> PageRows | Iterable[TableRow]:
+    def _rows_of(self, values: Iterable[RawRow]) -> Iterable[TableRow | Portion]:
         """Make rows of a page, or of some rows; leave out those of other writers, and expired ones.
 
         The messages of a page are made together where possible.
         """
-        rows = None
+        rows: Iterable[TableRow | Portion] | None = None
         if self._together and self._heads is None and isinstance(values, RawPage):
             rows = rows_of_page(self._plan.table, self._plan.node, values)
         return self._rows_one_by_one(values) if rows is None else rows
@@ -208,25 +217,14 @@ class RowStream:
         return self._plan.table.send(bind(self._prepared_by_keys(), values, self._at_once))
 
 
-def merged(plan: BucketPlan, read: Read, streams: Sequence[RowStream]) -> Iterator[TableRow]:
-    """Yield the rows of several queries in one order, without duplicates.
-
-    If all are taken and the server refused no query, the chooser is told their number.
-    """
-    count, last = 0, None
+def merged(read: Read, streams: Sequence[RowStream]) -> Iterator[TableRow]:
+    """Yield the rows of several queries in one order, without duplicates."""
+    last = None
     row_streams = [stream.rows() for stream in streams]
-    all_rows = heapq.merge(*row_streams, key=_bucket_order, reverse=read.reverse)
-    single = len(row_streams) == 1  # one query returns no duplicates, and rows in order
-    for row in row_streams[0] if single else all_rows:
-        if single:
-            count += 1
-            yield row
-        elif _bucket_order(row) != last:
+    for row in heapq.merge(*row_streams, key=_bucket_order, reverse=read.reverse):
+        if _bucket_order(row) != last:
             last = _bucket_order(row)
-            count += 1
             yield row
-    if read.chooser is not None and not any(stream.refused for stream in streams):
-        read.chooser.learn(plan.table, plan.rows, count)
 
 
 def _bucket_order(row: TableRow) -> Order:

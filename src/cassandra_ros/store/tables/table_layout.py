@@ -4,7 +4,7 @@
 
 A row holds one message (RowLayout in store/rows/layouts.py) or a block of messages (BlockLayout in
 store/blocks/block_layout.py); ``layout_of`` chooses. Readers get each message as a TableRow, in
-order, or many as a Portion.
+order, or many together as a Portion.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cassandra.query import PreparedStatement
 from numpy.typing import NDArray
 
 from cassandra_ros.keys import Position
-from cassandra_ros.read import Query, Read, Writers
+from cassandra_ros.read import Chooser, Query, Read, Writers
 from cassandra_ros.store.tables.directory import BucketRow, BucketTotals
 from cassandra_ros.store.tables.row_table import MAX_SEQ, MIN_SEQ, Order, RowTable, TableRow
 
@@ -26,7 +26,8 @@ Mask = NDArray[np.bool_]
 StoredPlanes = Tuple[Longs, NDArray[np.uint8], Optional[Mask]]
 """Messages of one size: their indices, a matrix (size, messages) whose row k holds byte k of each,
 and which rows are stored as differences; None = no row is."""
-_NONE: Longs = np.zeros(0, np.int64)
+Place = Tuple[int, str, int, str]
+"""Place in the order of all reads: key time (ns), node, ``_seq`` and table."""
 Queries = Optional[Sequence[Query]]
 """Queries that return the rows of a bucket that may match; None = read all rows."""
 Answer = Callable[[], Optional[TableRow]]
@@ -51,24 +52,86 @@ class MessageKey(NamedTuple):
     """Whether some column does not hold its field exactly."""
 
 
-class Portion(NamedTuple):
-    """Messages of one robot that came together: those of a page of rows, or of a block."""
+class StackedMessages(NamedTuple):
+    """The bytes of messages of one robot, those of each size in planes."""
 
     table: RowTable
     node: str
-    rows: Iterable[TableRow]
-    """Those that do not lie together, and are read one by one."""
-    times: Longs = _NONE
-    """Key times of those that lie together, ns."""
-    seqs: Longs = _NONE
-    """``_seq`` of these."""
-    groups: Sequence[StoredPlanes] = ()
-    """The bytes of all messages that lie together, by size."""
+    times: Longs
+    """Key times, ns, in order."""
+    seqs: Longs
+    """``_seq`` of the messages."""
+    groups: Sequence[StoredPlanes]
+    """Messages by size."""
     chosen: Mask | None = None
-    """For each message in ``groups`` whether it is to be read; None = all are."""
+    """For each message in ``groups`` whether it is one of these; None = all are."""
     unsure: Mask | None = None
-    """For each message to be read whether the condition of the read has to be checked again,
-    because the store is not sure; None = all have to be."""
+    """For each of these messages whether the condition of the read has to be checked again, because
+    the store is not sure; None = all have to be."""
+
+
+class Portion(ABC):
+    """Messages of a bucket that were read together, in order: of a block, or of a page of rows.
+
+    Attributes:
+        table, node: Table and robot of the messages.
+        ends: Keys; no message comes before the first one or after the last one.
+        most: Number of the messages at most.
+        nbytes: Approximate number of their serialised bytes.
+    """
+
+    table: RowTable
+    node: str
+    ends: tuple[Order, Order]
+    most: int
+    nbytes: int
+
+    @property
+    def t(self) -> int:
+        """Key time from which messages may come, ns."""
+        return self.ends[0][0]
+
+    @property
+    def begin(self) -> Place:
+        """The place from which messages may come."""
+        (t, seq), _ = self.ends
+        return t, self.node, seq, self.table.name
+
+    @property
+    def end(self) -> Place:
+        """The last place at which a message may come."""
+        _, (t, seq) = self.ends
+        return t, self.node, seq, self.table.name
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def rows(self) -> Iterable[TableRow]:
+        """Return the messages as rows, in order. After it the object is of no use."""
+
+    @abstractmethod
+    def stacked(self) -> StackedMessages | None:
+        """Return the bytes of the messages; None = they are damaged, ``rows`` says how."""
+
+    @abstractmethod
+    def _cut(self, last: Order) -> tuple[Portion, Portion]:
+        """Return the messages up to a key, included, and the others."""
+
+    def split(self, place: Place) -> tuple[Portion | None, Portion | None]:
+        """Return the messages before a place, and the others; None = no message.
+
+        They take the place of this object.
+        """
+        t, node, seq, table = place
+        last = (t, seq) if self.table.name < table else (t, seq - 1)
+        if self.node != node:
+            last = (t, MAX_SEQ) if self.node < node else (t - 1, MAX_SEQ)
+        if self.ends[1] <= last:
+            return self, None
+        if last < self.ends[0]:
+            return None, self
+        return self._cut(last)
 
 
 class BucketPlan(NamedTuple):
@@ -126,6 +189,25 @@ def ends_of(plan: BucketPlan, read: Read) -> tuple[Order, Order]:
     return low, high
 
 
+def count_for_chooser(
+    plan: BucketPlan,
+    chooser: Chooser,
+    messages: Iterator[TableRow | Portion],
+    is_whole: Callable[[], bool] = lambda: False,
+) -> Iterator[TableRow | Portion]:
+    """Yield the messages that pass the queries of a bucket.
+
+    If all are taken, the chooser is told their number, unless ``is_whole`` says that the bucket was
+    read without the queries, because the server refused them.
+    """
+    count = 0
+    for message in messages:
+        count += 1 if isinstance(message, TableRow) else len(message)
+        yield message
+    if not is_whole():
+        chooser.learn(plan.table, plan.rows, count)
+
+
 class TableLayout(ABC):
     """What is asked of the rows of one table. Times are key times, ns."""
 
@@ -149,15 +231,19 @@ class TableLayout(ABC):
         """
 
     @abstractmethod
-    def open(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[TableRow]:
+    def open(
+        self, plan: BucketPlan, read: Read, queries: Queries, *, together: bool = False
+    ) -> Iterator[TableRow | Portion]:
         """Request the first messages of a bucket; return all of them in the order of the read.
 
-        The request is sent before this returns. A chooser of the read is told how many there were.
-        """
+        Portions come in the order of their beginnings, and may overlap. The request is sent before
+        this returns. A chooser of the read is told how many messages there were.
 
-    @abstractmethod
-    def portions(self, plan: BucketPlan, read: Read, queries: Queries) -> Iterator[Portion]:
-        """Like ``open``, but return the messages as they come together, in any order."""
+        Args:
+            plan, read: What is read.
+            queries: What the server checks.
+            together: Whether the caller prefers portions to rows that have only some columns.
+        """
 
     @abstractmethod
     def finder(self) -> Finder:

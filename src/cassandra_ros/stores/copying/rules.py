@@ -4,22 +4,18 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Callable, Mapping, Sequence
-
-import yaml
 
 from cassandra_ros.arguments import check_event_name, check_pattern, check_text
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.formats.table import format_class
 from cassandra_ros.store.tables.registry import Run
+from cassandra_ros.yaml_text import check_keys, yaml_content
 
-MAX_CONFIG_BYTES = 1 << 20
-"""Maximum length of a file of rules, characters."""
 _UNITS = {"": 1, "k": 1 << 10, "M": 1 << 20, "G": 1 << 30}
 """Unit of a bandwidth -> bytes a second."""
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
@@ -114,10 +110,7 @@ def read_rules(text: str, source: str = "rules") -> CopyRules:
     Raises:
         InvalidOption: The text cannot be read; the error has ``source``, entry and remedy.
     """
-    try:
-        if len(text) > MAX_CONFIG_BYTES:
-            raise InvalidOption(f"it is longer than {MAX_CONFIG_BYTES} characters")
-        content = yaml.safe_load(text)
+    with yaml_content(text, source) as content:
         if not isinstance(content, dict) or not {"topics"} <= set(content) <= {"topics", "rate"}:
             raise InvalidOption("it must be a mapping with topics, a list, and perhaps rate")
         entries = content["topics"]
@@ -126,8 +119,6 @@ def read_rules(text: str, source: str = "rules") -> CopyRules:
         rules = [_rule(number, entry) for number, entry in enumerate(entries, 1)]
         rate = content.get("rate")
         return CopyRules(rules, None if rate is None else read_bandwidth(rate))
-    except (yaml.YAMLError, CassandraRosError, RecursionError) as exc:
-        raise InvalidOption(f"{source} cannot be used: {exc}") from exc
 
 
 def read_rules_file(name: str | None) -> CopyRules | None:
@@ -150,11 +141,7 @@ def _rule(number: int, entry: object) -> CopyRule:
         raise InvalidOption(
             f"entry {number} of topics is not a mapping with a pattern: {entry!r:.80}"
         )
-    for name in entry:
-        if name not in _READERS:
-            near = difflib.get_close_matches(str(name), _READERS, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(_READERS)}"
-            raise InvalidOption(f"entry {number} has an unknown key {name!r:.80}; {hint}")
+    check_keys(number, entry, _READERS)
     try:
         values = {_NAMES.get(name, name): _READERS[name](value) for name, value in entry.items()}
         rule = CopyRule(**values)  # type: ignore[arg-type]

@@ -12,12 +12,7 @@ from operator import itemgetter
 from typing import Any, Iterable, Iterator, Sequence
 
 from cassandra_ros.arguments import check_limit, check_seconds, check_topics
-from cassandra_ros.errors import (
-    InvalidKey,
-    InvalidOption,
-    InvalidQuery,
-    MessageNotFound,
-)
+from cassandra_ros.errors import InvalidKey, InvalidOption, InvalidQuery, MessageNotFound
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
@@ -42,13 +37,7 @@ from cassandra_ros.stores.fleet.fleet_topic import FleetTopic, find_topic, topic
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.event_finder import EventChoice, EventRule
 from cassandra_ros.topics.query_result import QueryResult
-from cassandra_ros.topics.row_finder import (
-    NEAREST,
-    AnyKey,
-    Where,
-    is_ours,
-    range_between,
-)
+from cassandra_ros.topics.row_finder import NEAREST, AnyKey, Where, is_ours, range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key
 

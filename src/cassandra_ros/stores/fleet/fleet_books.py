@@ -17,7 +17,7 @@ import logging
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
-from typing import Callable, Collection, Iterable, Mapping, NamedTuple, Protocol, Sequence, TypeVar
+from typing import TYPE_CHECKING, Collection, Iterable, Mapping, NamedTuple, Sequence
 from uuid import UUID
 
 from cassandra_ros.errors import AccessDenied
@@ -30,9 +30,11 @@ from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
+if TYPE_CHECKING:
+    from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer
+    from cassandra_ros.stores.fleet.fleet_row import FleetRow
+
 _log = logging.getLogger(__name__)
-_T = TypeVar("_T")
-_S = TypeVar("_S")
 
 Topics = Mapping[str, Collection[str]]
 """Name of a store → names of the topics that are read there."""
@@ -41,32 +43,6 @@ BOOK_SLOTS = 64
 stores are read."""
 MOST_RANGES = 64
 """Maximum number of time ranges that are read between those that the directory counts."""
-
-
-class StoredPlace(Protocol):
-    """A message, as FleetRow has it."""
-
-    t: int
-    node: str
-    seq: int
-
-    @property
-    def topic(self) -> str:
-        """Name of the topic."""
-
-    @property
-    def stores(self) -> list[str]:
-        """Names of the stores that gave it."""
-
-
-class Stores(Protocol):
-    """The stores that a question is asked, as FleetAnswer has them."""
-
-    catalogs: dict[str, Catalog]
-    missing: dict[str, str]
-
-    def each(self, values: Mapping[str, _S], work: Callable[[_S], _T]) -> dict[str, _T]:
-        """Call a function with a value of each store that answers."""
 
 
 class _Copy(NamedTuple):
@@ -97,7 +73,7 @@ class FleetBooks:
             quorum, perhaps not by fewer of its nodes.
     """
 
-    def __init__(self, stores: Stores, *, believed: bool) -> None:
+    def __init__(self, stores: FleetAnswer, *, believed: bool) -> None:
         self._stores = stores
         self._copies: dict[str, dict[str, _Copy]] = {}
         """Store → name of a table → its copy."""
@@ -194,7 +170,7 @@ class Spared:
 
     def __init__(
         self,
-        stores: Stores,
+        stores: FleetAnswer,
         topics: Topics,
         buckets: Mapping[str, Mapping[tuple[str, str], _Buckets]],
     ) -> None:
@@ -230,7 +206,7 @@ class Spared:
             and buckets.copy.store not in self._stores.missing
         )
 
-    def copies(self, row: StoredPlace) -> list[tuple[str, StoredRow]]:
+    def copies(self, row: FleetRow) -> list[tuple[str, StoredRow]]:
         """Return the rows of a message in the stores that were not read for it, by their names."""
         writers = frozenset([writer_of(row.seq)])
         read = Read(TimeRange(row.t, row.t), Whose((row.node,), writers))

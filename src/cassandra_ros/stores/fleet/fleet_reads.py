@@ -11,12 +11,7 @@ from itertools import islice
 from typing import Iterator, Mapping, Sequence
 
 from cassandra_ros.arguments import check_nodes, spellings
-from cassandra_ros.errors import (
-    DefinitionError,
-    EventNotFound,
-    InvalidOption,
-    RunNotFound,
-)
+from cassandra_ros.errors import DefinitionError, EventNotFound, InvalidOption, RunNotFound
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.tables.event_table import Event
 from cassandra_ros.stores.fleet.fleet_answer import FleetAnswer, told

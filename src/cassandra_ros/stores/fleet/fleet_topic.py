@@ -90,6 +90,10 @@ class FleetTopic:
         """Yield the messages of a read in its order, each once."""
         return resumed(read, self._read)
 
+    def in_order(self, read: Read, least: object) -> Iterator[FleetRow]:
+        """Yield the messages of ``read``, one by one, since several stores may have each."""
+        return self.read(read)
+
     def _read(self, read: Read) -> Iterator[FleetRow]:
         """Yield the messages of a read, which names no position."""
         streams = {name: topic.read for name, topic in self._topics.items()}

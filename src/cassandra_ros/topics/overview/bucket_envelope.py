@@ -156,8 +156,8 @@ class PieceReader:
         envelope.sure.merge(earlier.sure)
         edges, envelope.edges = earlier.edges[:EDGES_AT_ONCE], earlier.edges[EDGES_AT_ONCE:]
         values = self._values(piece.table)
-        portions = open_blocks(self._blocks(piece), edges)
-        for batch in portion_batches(portions, [piece.table], lambda _: values.parts):
+        messages = open_blocks(self._blocks(piece), edges)
+        for batch in portion_batches(messages, piece.table, lambda _: values.parts):
             self._watch()
             values.add(batch)
         _drain(values, envelope.sure)

@@ -13,10 +13,8 @@ from cassandra_ros.store.rows.layouts import layout_of
 from cassandra_ros.store.tables.directory import Directory
 from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.stored_totals import ALL_BUCKETS, buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
-
-_ALL_BUCKETS = -(2**63), 2**63 - 1
 
 
 def content_version(
@@ -60,7 +58,7 @@ def _bucket_facts(directory: Directory, table: TopicTable, read: Read) -> Iterat
     low, high = read.time_range
     ends = table.bucket_of(low), table.bucket_of(high)
     if table.metadata.own_time:
-        ends = _ALL_BUCKETS  # the buckets of its rows say nothing about the receive times
+        ends = ALL_BUCKETS  # the buckets of its rows say nothing about the receive times
     rows = buckets_of(directory, table, read.whose, ends)
     uncounted = set()
     for row in rows:

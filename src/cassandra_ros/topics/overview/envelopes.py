@@ -11,7 +11,6 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict, deque
-from itertools import groupby
 from typing import Iterator, NamedTuple, Sequence
 
 from cassandra_ros.query.arrays.envelope import Envelope, Grid
@@ -25,7 +24,7 @@ from cassandra_ros.topics.overview.bucket_envelope import (
     PieceReader,
     ZoneRead,
 )
-from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.stored_totals import buckets_of, group_by_bucket
 from cassandra_ros.topics.topic_table import TopicTable
 
 TILE_PIXELS = 1024
@@ -165,8 +164,8 @@ class EnvelopeReader:
         whose = bounds.read.whose
         for table in self._tables:
             ends = table.bucket_of(low), table.bucket_of(high)
-            rows = sorted(buckets_of(self._keyspace.directory, table, whose, ends), key=_place)
-            for (node, bucket), group in groupby(rows, key=_place):
+            rows = buckets_of(self._keyspace.directory, table, whose, ends)
+            for (node, bucket), group in sorted(group_by_bucket(rows).items()):
                 writers = [row for row in group if _reaches(row, low, high)]
                 if writers:
                     yield from self._tiles(table, node, bucket, writers, grid)
@@ -272,10 +271,6 @@ class EnvelopeReader:
         all_rows = sum(entry.rows + 1 for entry in entries)
         share = 1.0 if len(envelopes) == len(entries) else min(read_rows / all_rows, 0.999)
         return Envelopes(envelope, share, edges)
-
-
-def _place(row: BucketRow) -> tuple[str, int]:
-    return row.node, row.bucket
 
 
 def _reaches(row: BucketRow, low: int, high: int) -> bool:

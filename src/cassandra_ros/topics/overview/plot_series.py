@@ -18,7 +18,7 @@ import numpy as np
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.arrays.array_types import AnyArray, column_types
 from cassandra_ros.query.arrays.envelope import Envelope, Grid, Points
-from cassandra_ros.query.plan.bounds import Bounds, bounds_of, bounds_time, spans_of, with_stays
+from cassandra_ros.query.plan.bounds import Bounds, bounds_time, plan_of, spans_of
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.protocols import Row, Source
 from cassandra_ros.query.rows.projection import ResultRow
@@ -36,7 +36,7 @@ from cassandra_ros.topics.overview.plot_columns import (
     as_float,
     drawn_columns,
 )
-from cassandra_ros.topics.query_result import QueryResult
+from cassandra_ros.topics.query_result import QueryResult, StatementSource
 from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -136,8 +136,7 @@ def read_series(
     """
     tables = topic.tables
     plain = analyse_select(select, tables)
-    bounds = bounds_of(plain, Read(whose=asker.whose), tables)
-    plan = with_stays(plain, tables, bounds.read)
+    plan, bounds = plan_of(plain, tables, Read(whose=asker.whose))
     plot = drawn_columns(plan, tables)
     if any(table.named for table in tables):
         return _nothing(topic, _without(plot, _NO_TIME))
@@ -209,7 +208,7 @@ def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> int | None:
 
 
 def read_rows_series(
-    topic: Source[Row], select: Select, window: PlotWindow, asker: SeriesRequest
+    topic: StatementSource[Row], select: Select, window: PlotWindow, asker: SeriesRequest
 ) -> Series:
     """Read the numbers that a statement gives over time, from all its rows, as of several stores.
 
@@ -224,7 +223,11 @@ def read_rows_series(
 
 
 def _of_rows(
-    topic: Source[Row], select: Select, plot: PlotColumns, window: PlotWindow, asker: SeriesRequest
+    topic: StatementSource[Row],
+    select: Select,
+    plot: PlotColumns,
+    window: PlotWindow,
+    asker: SeriesRequest,
 ) -> Series:
     """Return the series of a statement of which all result rows are made.
 
@@ -271,10 +274,7 @@ def _arrays(
     times: list[AnyArray] = [np.zeros(0, np.int64)]
     numbers: list[AnyArray] = [np.zeros((len(places), 0))]
     count = 0
-    while True:
-        chunk = list(islice(rows, _CHUNK_ROWS))
-        if not chunk:
-            return np.concatenate(times), np.concatenate(numbers, axis=1)
+    while chunk := list(islice(rows, _CHUNK_ROWS)):
         count += len(chunk)
         if count > MAX_PLOT_ROWS:
             reason = f"more than {MAX_PLOT_ROWS} rows are too many to draw; group by a longer time"
@@ -283,3 +283,4 @@ def _arrays(
         times.append(np.array([row[time_column].to_nsec() for row in timed], np.int64))
         values = [[as_float(row[place]) for row in timed] for place in places]
         numbers.append(np.array(values, np.float64).reshape(len(places), len(timed)))
+    return np.concatenate(times), np.concatenate(numbers, axis=1)

@@ -5,8 +5,8 @@
 For each definition of the topic a new table is filled, which readers do not see yet. It is compared
 with the old tables message by message, and replaces them by one change of its comment
 (``store/tables/schema.py``). Some seconds later, when every client has read the comment, the old
-tables are dropped. A client that reads rows of one of them then goes on in the new table; a read of
-batches ends with an error (``topics/row_reader.py``).
+tables are dropped. A client that reads one of them then goes on in the new table
+(``topics/row_reader.py``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cassandra_ros.errors import (
     SchemaConflict,
     TopicNotFound,
 )
-from cassandra_ros.keys import SECOND_NS, writer_of
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.metadata import Kind, TopicMetadata
 from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
@@ -36,7 +36,7 @@ from cassandra_ros.store.tables.lengths import span_for
 from cassandra_ros.store.tables.schema import TablePlan
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed, planner
-from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.stored_totals import ALL_BUCKETS, buckets_of, writers_of
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.upkeep.table_copy import NewRobots, Progress, TableCopy
 
@@ -157,11 +157,7 @@ def move_messages(space: Keyspace, topic: str, robots: NewRobots, progress: Prog
 
 def _has_moves(space: Keyspace, table: TopicTable, robots: NewRobots) -> bool:
     """Return whether a table has messages that get another nodeID."""
-    if table.named:
-        positions = (key.position for key in list_names(table, None))
-        return any((writer_of(position.seq), position.node) in robots for position in positions)
-    rows = buckets_of(space.directory, table, EVERYBODY)
-    return any((row.writer, row.node) in robots for row in rows)
+    return any(pair in robots for pair in writers_of(space.directory, table))
 
 
 def _plans(space: Keyspace, report: Converted) -> list[_Plan]:
@@ -276,7 +272,7 @@ def _clear_leftovers(space: Keyspace, topic: str) -> None:
     replacement.clear(space.schema, topic, space.delete_entries)
     for table in space.tables.of_topic(topic):
         for old in table.metadata.replaces:
-            if space.directory.nodes(old, -(2**63), 2**63 - 1):
+            if space.directory.nodes(old, *ALL_BUCKETS):
                 space.delete_entries(old)
 
 

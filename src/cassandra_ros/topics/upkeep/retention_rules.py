@@ -17,7 +17,8 @@ from dataclasses import dataclass, field, replace
 from typing import Dict, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.errors import EventNotFound, InvalidOption
-from cassandra_ros.places.paths import merge_ranges
+from cassandra_ros.places.paths import subtract_ranges
+from cassandra_ros.query.plan.bounds import merge_ranges
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.rows.row_counts import recount_open_buckets
 from cassandra_ros.topics.catalog import Catalog, Conditions
@@ -159,13 +160,13 @@ class _Retention:
     def table(self, table: TopicTable, report: Retained) -> None:
         """Drop and thin the messages of one table."""
         pins = self._pins.of(table)
-        for gap in _gaps(pins, 0, self.cutoff - 1):
+        for gap in subtract_ranges([(0, self.cutoff - 1)], pins):
             report.dropped += delete_of_table(self._space, table, Read(gap), self._dry_run)
         if self._thin_end > self.cutoff:
             # Before reading: messages that are added meanwhile are not deleted.
             until_us = self._space.cassandra.server_time_us()
             last: _Periods = {}
-            for gap in _gaps(pins, self.cutoff, self._thin_end - 1):
+            for gap in subtract_ranges([(self.cutoff, self._thin_end - 1)], pins):
                 rows = self._rated(table, gap, last)
                 report.thinned += (
                     sum(surplus for _, surplus in rows)
@@ -229,7 +230,8 @@ class _Retention:
             hits = heapq.merge(*(_times(f.rows(reach, bare=True)) for f in filters.values()))
             pins.windows = list(merge_windows(hits, rules.before, rules.after, TimeRange()))
         for name in rules.events:
-            pins.windows = list(_unite([*pins.windows, *self._around_events(name, end)]))
+            windows = sorted([*pins.windows, *self._around_events(name, end)])
+            pins.windows = list(merge_ranges(windows))
         if self.cutoff and self._finder.latches:
             for low, high in [*pins.windows, TimeRange(self.cutoff, LAST_NS)]:
                 for row in self._finder.before(low, high):
@@ -267,22 +269,3 @@ class _Retention:
 
 def _times(rows: Iterable[StoredRow]) -> Iterator[int]:
     return (row.t for row in rows)
-
-
-def _unite(ranges: Iterable[TimeRange]) -> Iterator[TimeRange]:
-    """Sort time ranges, and join those that overlap or touch."""
-    return (TimeRange(*span) for span in merge_ranges(sorted(ranges)))
-
-
-def _gaps(pins: Iterable[TimeRange], low: int, high: int) -> Iterator[TimeRange]:
-    """Yield the time ranges between pins, from low to high, both included.
-
-    Args:
-        pins: Time ranges in the order of their starts; they may overlap.
-    """
-    for pin in pins:
-        if pin.low > low and low <= high:
-            yield TimeRange(low, min(high, pin.low - 1))
-        low = max(low, pin.high + 1)
-    if low <= high:
-        yield TimeRange(low, high)

@@ -36,6 +36,7 @@ from cassandra_ros.store.tables.directory import (
 from cassandra_ros.store.tables.row_table import ALL, TableRow, Zones, decode_long, encode_texts
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import read_wire
+from cassandra_ros.topics.stored_totals import group_by_bucket
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.topics.upkeep.table_copy import Progress
 
@@ -116,22 +117,10 @@ class CheckReport:
         """Number of damages that were not mended."""
         return self.found - self.mended
 
-    def count_bucket(self) -> None:
-        """Count a bucket that was read."""
-        self.buckets += 1
-
-    def count_writing(self) -> None:
-        """Count a bucket whose counts in the directory cannot be compared yet."""
-        self.writing += 1
-
     def count(self, messages: int, nbytes: int) -> None:
         """Count messages that could be read."""
         self.messages += messages
         self.bytes += nbytes
-
-    def count_unsummed(self) -> None:
-        """Count a message without a checksum."""
-        self.unsummed += 1
 
     def add(self, damage: Damage) -> None:
         """Add a damage."""
@@ -187,8 +176,6 @@ class _Check:
         self.tables: list[TopicTable] = []
         self._conns: Counts[int] = Counter()
         """Connection → number of its messages in the table that is being read."""
-        self._done = 0
-        """Number of messages that were read."""
 
     def topic(self, name: str) -> None:
         """Read all tables of a topic."""
@@ -217,15 +204,13 @@ class _Check:
         """Read the buckets of a table, those that the directory does not list too."""
         low, high = (table.bucket_of(t) for t in self._time_range)
         entries = self._space.directory.buckets_by_robot(table.name, low, high)  # see _by_time
-        groups: dict[tuple[str, int], list[BucketRow]] = {}
-        for row in entries:
-            groups.setdefault((row.node, row.bucket), []).append(row)
+        groups = group_by_bucket(entries)
         for node, where in partitions(table):
             if low <= int(where) <= high:
                 groups.setdefault((node, int(where)), [])
         total = sum(row.rows for row in entries)
         for (node, bucket), rows in sorted(groups.items()):
-            self.report.count_bucket()
+            self.report.buckets += 1
             self._read(table, node, bucket, rows, total)
             self._compare(table, node, bucket)
         self._slots(table, set(groups))
@@ -296,8 +281,8 @@ class _Check:
         except MessageNotFound:
             return  # removed meanwhile
         if not row.nchunks:
-            self.report.count_unsummed()
-        self._count(1, len(wire))
+            self.report.unsummed += 1
+        self.report.count(1, len(wire))
 
     def _block(self, table: TopicTable, node: str, row: BlockRow | None, bounds: RawRow) -> None:
         """Read a block, and compute its zones again; raises CorruptMessage.
@@ -315,7 +300,7 @@ class _Check:
             wires: Sequence[bytes] = [read_wire(table, only)]
         else:
             wires = block.unpacked.wires()
-        self._count(len(places), int(block.sizes[places].sum()))
+        self.report.count(len(places), int(block.sizes[places].sum()))
         self._bounds(table, node, row, bounds, table.format.zones(wires))
 
     def _bounds(
@@ -339,14 +324,10 @@ class _Check:
             "back measures it anew",
         )
 
-    def _count(self, messages: int, size: int) -> None:
-        self.report.count(messages, size)
-        self._done += messages
-
     def _tell(self, total: int) -> None:
         """Call the progress function; the total is that of the present table."""
         if self._progress is not None:
-            self._progress(self._done, max(total, self._done))
+            self._progress(self.report.messages, max(total, self.report.messages))
 
     def _compare(self, table: TopicTable, node: str, bucket: int) -> None:
         """Compare the rows of a bucket with the directory."""
@@ -358,7 +339,7 @@ class _Check:
             return  # reported when the bucket was read
         after = directory.find(table.name, node, bucket)
         if list(map(_sign, after)) != list(map(_sign, before)):  # a client changed it meanwhile
-            self.report.count_writing()
+            self.report.writing += 1
             return
         by_writer = {row.writer: row for row in before}
         for writer in sorted({*recounts, *by_writer}):
@@ -449,7 +430,7 @@ class _Check:
         With --repair one without a living writer is closed with its true counts.
         """
         if row.age_sec <= STALE_SEC:
-            self.report.count_writing()
+            self.report.writing += 1
         elif self._repair:
             self._space.directory.put_recount(table.name, row, totals, table.metadata.ttl)
 

@@ -28,7 +28,12 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.row_reader import RowReader
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.stored_totals import buckets_of, count_rows
+from cassandra_ros.topics.stored_totals import (
+    buckets_of,
+    count_rows,
+    group_by_bucket,
+    writers_of,
+)
 from cassandra_ros.topics.topic_table import TopicTable
 
 Progress = Optional[Callable[[int, int], None]]
@@ -97,15 +102,10 @@ class TableCopy:
             else:
                 self._write(self._rows(self._olds, Read(whose=Whose(None, some))))
 
-    def _writers(self) -> frozenset[int]:
+    def _writers(self) -> set[int]:
         """Return the writer ids of all rows of the old tables."""
-        writers: set[int] = set()
-        for table in self._olds:
-            if table.named:
-                writers.update(split_seq(key.position.seq)[0] for key in list_names(table, None))
-            else:
-                writers.update(row.writer for row in buckets_of(self._space.directory, table))
-        return frozenset(writers)
+        tables = (writers_of(self._space.directory, table) for table in self._olds)
+        return {writer for pairs in tables for writer, _ in pairs}
 
     def _fill_expiring(self, writers: frozenset[int]) -> None:
         """Write rows by remaining lifetime, which is set for all rows written from then on."""
@@ -133,10 +133,9 @@ class TableCopy:
             for lifetime, row_keys in by_left.items():
                 yield lifetime, self._fetching(table, row_keys)
             return
-        length, places = table.metadata.bucket_ns, set()
-        for row in buckets_of(self._space.directory, table, whose):
-            places.add((row.node, row.bucket))
-        for node, bucket in sorted(places):
+        length = table.metadata.bucket_ns
+        buckets = group_by_bucket(buckets_of(self._space.directory, table, whose))
+        for node, bucket in sorted(buckets):
             time_range = TimeRange(bucket * length, (bucket + 1) * length - 1)
             reader = self._reading(table, Read(time_range, Whose((node,), whose.writers)))
             yield left_in_bucket(table, node, bucket), reader
@@ -295,12 +294,10 @@ class TableCopy:
                 late = [RowKey(table, place) for place, us in written if us > since_us]
                 count += self._add(self._not_there(self._fetching(table, late)()))
                 continue
-            by_bucket: dict[tuple[str, int], set[int]] = {}
-            for entry in buckets_of(self._space.directory, table):
-                by_bucket.setdefault((entry.node, entry.bucket), set()).add(entry.writer)
+            buckets = group_by_bucket(buckets_of(self._space.directory, table))
             length = table.bucket_ns
-            for (node, bucket), ids in sorted(by_bucket.items()):
-                writers = frozenset(ids)
+            for (node, bucket), entries in sorted(buckets.items()):
+                writers = frozenset(entry.writer for entry in entries)
                 times = row_keys(table, node, bucket, writers)
                 keys = {key for key, us in times.items() if us > since_us}
                 low = bucket * length

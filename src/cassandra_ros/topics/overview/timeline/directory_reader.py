@@ -24,9 +24,9 @@ from cassandra_ros.store.tables.directory import ALL_ROWS, SLOT_BUCKETS, Directo
 from cassandra_ros.topics.overview.timeline.range_counts import (
     RangeCounts,
     piece_of,
-    slots_between,
     unread,
 )
+from cassandra_ros.topics.stored_totals import ALL_BUCKETS
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_PARTITIONS = 2000
@@ -42,7 +42,6 @@ KEEP_SEC = 5.0
 """How long cached rows are used, s. A user who zooms asks often."""
 KEPT_BUCKETS = 400_000
 """Maximum number of cached rows of the directory, 80 bytes each."""
-_EVER = (-(2**63), 2**63 - 1)
 _EVER_NS = (0, LAST_NS)
 _SPREAD = 2_654_435_761
 """2**32 divided by the golden ratio: its multiples are spread evenly without any other pattern."""
@@ -96,7 +95,7 @@ class DirectoryReader:
         with self._mutex:
             fresh = {name: slots for name, (until, slots) in self._slots.items() if until > now}
         missing = [table.name for table in tables if not table.named and table.name not in fresh]
-        requests = (self._directory.begin_nodes(name, _EVER) for name in missing)
+        requests = (self._directory.begin_nodes(name, ALL_BUCKETS) for name in missing)
         for name, answer in zip(missing, sent_ahead(requests, REQUESTS_AT_ONCE)):
             fresh[name] = [(slot, node) for slot, node in answer()]
         until = now + KEEP_SEC
@@ -140,7 +139,7 @@ class DirectoryReader:
         """
         slots = self.slots(tables)
         slot_ranges = [
-            (table, (table.name, node, slot, *_EVER))
+            (table, (table.name, node, slot, *ALL_BUCKETS))
             for table in tables
             for node, slot in _outmost_slots(slots.get(table.name, []), reverse).items()
             if whose.nodes is None or node in whose.nodes
@@ -181,10 +180,9 @@ class DirectoryReader:
         """Yield the partitions with buckets in a time range, and the range of these buckets."""
         slots = self.slots(tables)
         for table in tables:
-            node_slots = slots.get(table.name, [])
-            first, last = slots_between(table, ends)
             low, high = (table.bucket_of(end) for end in ends)
-            for slot, node in node_slots:
+            first, last = slot_of(low), slot_of(high)
+            for slot, node in slots.get(table.name, []):
                 if first <= slot <= last and (whose.nodes is None or node in whose.nodes):
                     begin = slot * SLOT_BUCKETS
                     inside = max(begin, low), min(begin + SLOT_BUCKETS - 1, high)

@@ -16,7 +16,6 @@ from cassandra_ros.store.tables.directory import (
     SLOT_BUCKETS,
     STALE_SEC,
     TTL_MARGIN_SEC,
-    slot_of,
 )
 from cassandra_ros.topics.overview.timeline.time_cells import Bools, Longs, TimeRanges
 from cassandra_ros.topics.topic_table import TopicTable
@@ -147,8 +146,3 @@ def named_pieces(table: TopicTable, whose: Whose) -> list[RangeCounts]:
             RangeCounts(table, node, nothing, nothing.first, sampled=not complete, keys=single)
         )
     return pieces
-
-
-def slots_between(table: TopicTable, ends: tuple[int, int]) -> tuple[int, int]:
-    """Return the slots of a table in which the ends of a time range are."""
-    return slot_of(table.bucket_of(ends[0])), slot_of(table.bucket_of(ends[1]))
