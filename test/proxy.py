@@ -114,7 +114,8 @@ class Proxy:
         self._server = host, port
         self._caught = []
         self.late_pushes = False
-        """What the server pushes of itself comes as late as it may: before the next answer."""
+        """What the server pushes of itself comes as late as it may: before the next answer, but for
+        those to the driver's heartbeats."""
         self.answered_bytes = 0
         """Number of bytes of the server's answers."""
         self._pairs = []
@@ -243,7 +244,7 @@ class _Pair:
         if frame.stream < 0 and self._proxy.late_pushes:
             self._pushed.append(frame)
             return
-        while self._pushed:
+        while self._pushed and frame.opcode != SupportedMessage.opcode:
             self._send("client", self._pushed.pop(0))
         request, caught = self._failing.pop(frame.stream, (None, None))
         if caught is not None:
